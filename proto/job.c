@@ -550,6 +550,7 @@ static const struct rn_field_spec job[] = {
     RN_F_JSON(S, result, RN_IS_OBJECT),
     RN_F_JSON(S, problem, RN_IS_OBJECT),
     RN_F_OBJECT(S, runner, 0, &job_runner_table),
+    RN_F_TEXT(S, owner, 0, NULL),
     RN_F_TEXT(S, traceparent, 0, NULL),
 };
 const struct rn_table rn_job_table = RN_TABLE(S, "a job", job);

@@ -239,6 +239,7 @@ struct rn_job {
     char *result;   // NULL = absent
     char *problem;  // NULL = absent
     struct rn_job_runner runner;
+    char owner[RN_ID_MAX];          // the token that asked for it; "" = absent
     char traceparent[RN_TRACE_MAX]; // "" = absent
 };
 extern const struct rn_table rn_job_table;

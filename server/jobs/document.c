@@ -38,6 +38,7 @@ enum rn_status rn_document_job(struct rn_control *control, struct rn_job_row *ro
     job.progress = row->progress;
     job.result = row->result;
     job.problem = row->problem;
+    copy(job.owner, sizeof job.owner, row->owner);
     copy(job.traceparent, sizeof job.traceparent, row->traceparent);
     const struct rn_task *task = rn_task_find(control, row->id);
     if (task != NULL && task->runner != NULL && task->runner->process.remote) {

@@ -1,4 +1,5 @@
-"""Links: a page opened with a token in its fragment shows one thing, and nothing else is asked."""
+"""Links: a page opened with a token in its fragment shows one thing, and nothing else is asked. Tokens: what one
+may not is not offered."""
 
 import json
 import os
@@ -28,10 +29,11 @@ def client(build, tmp_path):
          build / "tests/support/ripnerf-runner-fake"], stdout=subprocess.PIPE,
         stderr=open(tmp_path / "log", "w", encoding="utf-8"), text=True)
     url = re.search(r"http://\S+", process.stdout.readline())[0]
-    environment = {**os.environ, "RIPNERF_HOST": url, "RIPNERF_TOKEN": "a-token-of-this-test"}
+    environment = {**os.environ, "RIPNERF_HOST": url}
 
-    def run(*words):
-        done = subprocess.run([build / "client/ripnerf", *words], env=environment, text=True,
+    def run(*words, token="a-token-of-this-test"):
+        done = subprocess.run([build / "client/ripnerf", *words], text=True,
+                              env={**environment, "RIPNERF_TOKEN": token},
                               cwd=tmp_path, capture_output=True, timeout=PATIENCE_S, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
@@ -93,3 +95,69 @@ def test_the_page_makes_a_link(page, client):
     page.open(copied)
     page.says("refined", ".hud")
     assert page.find("#crop-on").is_selected()  # who follows it sees what was shared
+
+
+def refusals(page):
+    return page.run("return performance.getEntriesByType('resource')"
+                    ".filter((entry) => entry.responseStatus === 403).map((entry) => entry.name);")
+
+
+def open_with(page, client, token, scope):
+    page.open(f"{client.url}/#t={token}/")
+    page.says(scope, "#scope")
+
+
+def offered(page, places):
+    """What buttons and labels say in these places, each read once it says its landmark."""
+    words = set()
+    for place, landmark in places.items():
+        page.run(f"location.hash = {place!r};")
+        page.says(landmark)
+        page.run("for (const more of document.querySelectorAll('main details')) more.open = true;")
+        words |= {e.text.strip() for e in page.all("main button, main a.button, main label") if e.is_displayed()}
+        assert refusals(page) == [], place
+    return words
+
+
+def places_of(client):
+    """Every view, and what it says once it is there."""
+    job = {one["type"]: one["id"] for one in json.loads(client("jobs", "--json"))["items"]}
+    return {"#/": "On disk", "#/dataset/data": "Pixel’s footprint", "#/scene/ball": "Parameters",
+            "#/jobs": "succeeded", "#/system": "Forget the token", f"#/job/{job['eval']}": "By view, worst first",
+            f"#/job/{job['train']}": "Asked for", f"#/job/{job['ingest']}": "Asked for"}
+
+
+LOOKING = {"all", "training", "paths", "evaluations", "imports", "train 8", "val 8", "test 8", "Download checkpoint",
+           "Forget the token", ""}  # what changes only what is shown, and what is fetched
+
+
+def test_what_a_token_may_not_is_not_offered(page, client):
+    client("eval", "ball", "--split", "test")
+    open_with(page, client, client("token", "make", "reader", "--scope", "read"), "read-only")
+    assert offered(page, places_of(client)) == LOOKING
+    open_with(page, client, client("token", "make", "artist", "--scope", "render"), "render only")
+    words = offered(page, places_of(client))
+    assert {"Record key", "Render the path", "Evaluate", "Run the doctor", "Mesh, .ply"} < words
+    assert not {"Start training", "Choose a folder", "Train…", "Share", "Delete"} & words
+    assert page.complaints() == []
+
+
+def test_what_others_made_is_not_offered_to_be_changed(page, client):
+    """A job to be stopped and a scene to be deleted: to who made it, and to no other."""
+    anna, ben = (client("token", "make", name, "--scope", "train") for name in ("anna", "ben"))
+    client("train", "data", "--name", "hers", "--max-steps", "100000000", token=anna)
+    client("train", "data", "--name", "waits", "--max-steps", "20", token=ben)
+    for token, own in ((anna, "hers"), (ben, "waits"), ("a-token-of-this-test", None)):
+        page.open(f"{client.url}/#t={token}/jobs")
+        for scene in ("hers", "waits"):
+            page.says(scene, ".job-row")
+            row = next(e for e in page.all(".job-row") if f"Training {scene}" == e.text.split("\n")[0])
+            assert ("Cancel" in row.text) == (own in (scene, None)), (own, row.text)
+        page.run("location.hash = '#/scene/ball';")
+        page.says("Parameters")
+        assert ("Delete" in page.text("[aria-label=Record]")) == (own is None)
+        page.run("location.hash = '#/dataset/data';")
+        page.says("Start training")
+        assert ("Delete" in page.text("[aria-label=About]")) == (own is None)
+        assert refusals(page) == []
+    client("cancel", json.loads(client("jobs", "--json"))["items"][1]["id"])

@@ -1,9 +1,9 @@
 // Starts the page: header, connection banner, token dialog, router, event stream.
 import {hooks, takeLinkToken, token} from './api.js';
 import {fill, h, text} from './dom.js';
-import {startRouter} from './router.js';
-import {isActive, retryNow, startSync, state, watch} from './store.js';
-import {announce, kindOf, problemBox, subjectOf} from './ui.js';
+import {parseRoute, startRouter} from './router.js';
+import {isActive, isVisitor, retryNow, startSync, state, watch} from './store.js';
+import {announce, kindOf, problemBox, SCOPE_MEANS, subjectOf} from './ui.js';
 import {homeView} from './views/home.js';
 import {datasetView} from './views/dataset.js';
 import {sceneView} from './views/scene.js';
@@ -65,7 +65,7 @@ function askToken(why) {
           {once: true}));
 }
 
-function showConnection({connection, jobs, uploads}) {
+function showConnection({connection, jobs, uploads, info}) {
   const node = document.getElementById('connection');
   const label = {
     connecting: 'connecting',
@@ -84,7 +84,21 @@ function showConnection({connection, jobs, uploads}) {
         ...['running', 'queued', 'paused'].filter(count).map((name) => `${count(name)} ${name}`)
       ].join(', '));
   activity.hidden = !activity.textContent;
+  const scope = document.getElementById('scope');
+  text(scope, {read: 'read-only', render: 'render only'}[!isVisitor() && info?.you.scope] ?? '');
+  scope.title = SCOPE_MEANS[info?.you.scope] ?? '';
+  scope.hidden = !scope.textContent;
   document.getElementById('banner').hidden = connection.status !== 'offline';
+}
+
+/** Another token, with other rights: the view is built anew, with what it may. */
+function startRights() {
+  let before = null;
+  watch(({info}) => {
+    const now = info && `${info.you.id} ${info.you.scope}`;
+    if (before && now !== before) show(parseRoute(location.hash));
+    before = now;
+  });
 }
 
 /** The banner's words count down, so they are set apart from the store's changes. */
@@ -160,6 +174,7 @@ addEventListener('hashchange', (event) => {
 });
 watch(showConnection);
 startBanner();
+startRights();
 startAnnouncer();
 startRouter(show);
 startSync();

@@ -29,6 +29,10 @@ export function createPathStore(scene, say, signal) {
     } catch (error) {
       if (signal.aborted) return;
       if (error instanceof Problem && error.status === 404) id = null;
+      if (error instanceof Problem && error.status === 403) {
+        latest = null;
+        return say(`not kept in the daemon: ${name} is another token’s`);
+      }
       say('not kept in the daemon yet');
       latest ??= path;
       timer = setTimeout(write, 5 * WAIT_MS);

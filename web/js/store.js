@@ -88,8 +88,22 @@ function putProgress(id, progress) {
 
 /** Whether who looks has a link: one scene, or the pictures of one job, is all there is. */
 export const isVisitor = () => Boolean(state.info?.you?.scene ?? state.info?.you?.job);
-/** Whether who looks may make links. */
-export const mayShare = () => ['train', 'admin'].includes(state.info?.you?.scope) && !isVisitor();
+
+const SCOPES = ['read', 'render', 'train', 'admin'];  // each may what those before it may
+/** Whether who looks has this scope; nothing is offered that the daemon would refuse. */
+export const may = (scope) =>
+    !isVisitor() && SCOPES.indexOf(state.info?.you?.scope) >= SCOPES.indexOf(scope);
+/** Whether pictures are to be had: of its own scene, to who has a link. */
+export const mayRender = () => isVisitor() || may('render');
+
+/** The job that made a scene or a dataset; a job is its own. */
+const makerOf = (record) => record.type ?
+    record :
+    state.jobs.find(
+        (job) => job.id === record.job || job.type === 'ingest' && job.dataset === record.id);
+/** Whether who looks may stop a job, or delete what one made: they asked for it, or may all. */
+export const mayChange = (record) =>
+    may('admin') || (makerOf(record)?.owner ?? '') === state.info?.you.id;
 
 /** What a link shows, and no more: no other list would be answered. */
 async function refreshVisit(info, signal) {

@@ -233,6 +233,13 @@ export const facts = (pairs) =>
       pairs.filter(([, value]) => value !== undefined && value !== null)
           .map(([term, value]) => h('div', null, h('dt', null, term), h('dd', null, value))));
 
+/** What a token of a scope may, of one that may not all. */
+export const SCOPE_MEANS = {
+  read: 'It sees what there is and starts nothing, not even a picture.',
+  render: 'It renders pictures, paths and evaluations; it imports and trains nothing.',
+  train: 'It changes only what it made itself.'
+};
+
 /** How a job that is over ended, in a sentence: "was cancelled". */
 export const endOf = (job) => (job.state === 'failed' ? 'has failed' : `was ${job.state}`);
 

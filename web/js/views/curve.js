@@ -3,7 +3,7 @@ import {api, Problem} from '../api.js';
 import {fill, h, s, text} from '../dom.js';
 import {decibel, milliseconds, plural} from '../format.js';
 import {ticks} from '../chart.js';
-import {isActive, isOver, means, putJob, watch} from '../store.js';
+import {isActive, isOver, may, means, putJob, watch} from '../store.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
 import {jobButtons} from './jobs.js';
 
@@ -153,10 +153,15 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
   signal.addEventListener('abort', () => observer.disconnect(), {once: true});
   load();
   const node = panel(
-      'Accuracy against time', {'data-order': 2, tools: again}, chart, words, under,
-      h('div', {class: 'tool budget'}, h('label', {'for': 'budget'}, 'Time for a picture'), slider,
-        label),
-      truth, check);
+      'Accuracy against time', {'data-order': 2, tools: may('render') ? again : null}, chart, words,
+      under,
+      may('render') ?
+          [
+            h('div', {class: 'tool budget'}, h('label', {'for': 'budget'}, 'Time for a picture'),
+              slider, label),
+            truth, check
+          ] :
+          null);
   return {
     node,
     picture: (facts) => {

@@ -1,7 +1,7 @@
 // One dataset: its photographs, what the import found, its facts, and the way to train it.
 import {api} from '../api.js';
 import {fill, h, lazyImage} from '../dom.js';
-import {find, refreshSoon, state, watch} from '../store.js';
+import {find, may, mayChange, refreshSoon, state, watch} from '../store.js';
 import {ago, bytes, percent, plural, seconds} from '../format.js';
 import {choice, confirmFirst, facts, panel, problemBox, scroller, skeleton} from '../ui.js';
 import {go, link} from '../router.js';
@@ -37,7 +37,7 @@ export async function datasetView(root, {id, query, signal}) {
       ]);
       if (signal.aborted) return;
       fill(body, page(dataset, cameras, words, like, signal));
-      if (like) document.getElementById('train').scrollIntoView();
+      if (like) document.getElementById('train')?.scrollIntoView();
     } catch (error) {
       if (!signal.aborted) fill(body, problemBox(error, {again: load}));
     }
@@ -57,8 +57,8 @@ function page(dataset, cameras, words, like, signal) {
       'div', {class: 'columns'},
       h('div', {class: 'main-column'}, photographs(dataset, cameras, signal),
         cloudPanel(dataset, cameras, signal), report(dataset.report)),
-      h('div', {class: 'side-column'}, trainPanel(dataset, like), about(dataset, words),
-        scenesOf(dataset, signal)));
+      h('div', {class: 'side-column'}, may('train') ? trainPanel(dataset, like) : null,
+        about(dataset, words), scenesOf(dataset, signal)));
 }
 
 /** The views by their numbers in the JSON: one that is unusable leaves a gap. */
@@ -148,19 +148,19 @@ function about(dataset, words) {
   const {views, report: found} = dataset;
   return panel(
       'About', {
-        tools:
-            h('button', {
-              type: 'button',
-              class: 'small bare',
-              onclick: () => confirmFirst(
-                  `Delete the dataset ${dataset.name}?`, 'Delete',
-                  async () => {
-                    await api.removeDataset(dataset.id);
-                    refreshSoon();
-                    go(link.home());
-                  })
-            },
-              'Delete')
+        tools: mayChange(dataset) ? h('button', {
+          type: 'button',
+          class: 'small bare',
+          onclick: () => confirmFirst(
+              `Delete the dataset ${dataset.name}?`, 'Delete',
+              async () => {
+                await api.removeDataset(dataset.id);
+                refreshSoon();
+                go(link.home());
+              })
+        },
+                                      'Delete') :
+                                    null
       },
       facts([
         ['Views', `${views.train} train, ${views.val} val, ${views.test} test`],
@@ -177,14 +177,17 @@ function about(dataset, words) {
         [
           'Bounds',
           `radius ${Number(dataset.bounds.radius.toPrecision(4))} about (${
-              three(dataset.bounds.centre)}), ${
-              titleOf(words.bounds, dataset.bounds.source)}`
+              three(dataset.bounds.centre)}), ${titleOf(words.bounds, dataset.bounds.source)}`
         ],
-        ...(dataset.capture ? [['Capture', `${titleOf(words.captures, dataset.capture)}; up is ${three(dataset.up)}`]] : []),
+        ...(dataset.capture ? [[
+          'Capture', `${titleOf(words.captures, dataset.capture)}; up is ${three(dataset.up)}`
+        ]] :
+                              []),
         ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),
         ['Pixel’s footprint', `${range(dataset.footprint)} of the dataset’s units`],
         ['Looking at the bounds', percent(found.looking_at_bounds)], ['Layout', found.layout],
-        ...expected(found.expected, dataset.past), ['On disk', bytes(dataset.size_bytes)], ['Imported', ago(dataset.created_at)]
+        ...expected(found.expected, dataset.past), ['On disk', bytes(dataset.size_bytes)],
+        ['Imported', ago(dataset.created_at)]
       ]));
 }
 

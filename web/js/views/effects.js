@@ -1,7 +1,7 @@
 // What a scene's effects are, why, and what each brings and costs, where that was measured.
 import {api, Problem} from '../api.js';
 import {fill, h} from '../dom.js';
-import {isActive, isOver, means, putJob, watch} from '../store.js';
+import {isActive, isOver, may, means, putJob, watch} from '../store.js';
 import {fixed, plural, seconds} from '../format.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
 import {jobButtons} from './jobs.js';
@@ -11,6 +11,7 @@ const ASKED = {seeds: 3, seconds: 10};
 
 /** How long it takes; null where a scene of an older build does not tell what can be measured. */
 function durationWords(effects) {
+  if (!may('train')) return 'What they bring was not measured.';
   if (effects.some((effect) => effect.measurable === undefined)) return null;
   const count = effects.filter((effect) => effect.measurable).length;
   if (!count) return 'None of them can be left out: there is nothing to measure.';
@@ -65,8 +66,8 @@ export function createEffects(scene, signal) {
     now = latest;
     const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
     fill(list, now.effects.map((effect) => row(effect, gains.get(effect.name))));
-    measure.hidden =
-        Boolean(now.viewing) || !now.effects.some((effect) => effect.measurable !== false);
+    measure.hidden = !may('train') || Boolean(now.viewing) ||
+        !now.effects.some((effect) => effect.measurable !== false);
     fill(words, now.effects.length ?
         'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.' :
         'Decided when training begins.');

@@ -1,7 +1,7 @@
 // A scene as a file for elsewhere: what it can be exported as, and what came of it.
 import {api, token} from '../api.js';
 import {h, saveBlob} from '../dom.js';
-import {putJob} from '../store.js';
+import {may, putJob} from '../store.js';
 import {bytes, fixed, plural} from '../format.js';
 import {action} from '../ui.js';
 import {go, link} from '../router.js';
@@ -14,7 +14,7 @@ const KINDS = [
 
 /** Buttons that have the scene exported; each leads to its job. */
 export function exportButtons(scene) {
-  if (!scene.checkpoints.length) return null;
+  if (!scene.checkpoints.length || !may('render')) return null;
   return h(
       'div', {class: 'row wrap', role: 'group', 'aria-label': 'Export'},
       h('span', {class: 'quiet'}, 'Export'),

@@ -3,7 +3,7 @@ import {api, token} from '../api.js';
 import {fill, h, saveBlob, showBlob, text} from '../dom.js';
 import {followJob} from '../follow.js';
 import {pictureOf} from '../grey16.js';
-import {find, isActive, mayShare, state, watch} from '../store.js';
+import {find, isActive, may, state, watch} from '../store.js';
 import {bytes, plural} from '../format.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
@@ -222,7 +222,7 @@ function filmPanel(job, signal) {
 
 /** For someone without a token: these pictures, read-only. */
 function shareButton(job) {
-  if (!mayShare()) return null;
+  if (!may('train')) return null;
   const publish = () => copyLink({job: job.id}, link.job(job.id), job.scene_name ?? job.id);
   return action('Share', publish, {
     kind: 'small',

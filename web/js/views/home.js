@@ -1,7 +1,7 @@
 // Scenes, datasets, what runs, and a place to add a dataset.
 import {api} from '../api.js';
 import {fill, follow, h, lazyImage, text} from '../dom.js';
-import {isActive, refreshSoon, trainingOf, watch} from '../store.js';
+import {isActive, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
 import {cameraOf, defaultOrbit} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
 import {chip, confirmFirst, empty, panel, scroller, setChip, skeleton} from '../ui.js';
@@ -29,7 +29,8 @@ export function homeView(root, {signal}) {
                     },
                       t || h('span', {class: 'unseen'}, 'Actions'))))),
         tableBody));
-  const side = h('div', {class: 'side-column'}, uploadPanel(signal), runningBox);
+  const side = h('div', {class: 'side-column'}, runningBox);
+  let adding = null;  // there is one once it is known who looks
   fill(
       root, h('h1', {class: 'unseen'}, 'Scenes and datasets'),
       h('div', {class: 'columns'},
@@ -43,6 +44,7 @@ export function homeView(root, {signal}) {
     runningBox.hidden = !active.length;
     follow(running, active, (job) => job.id, jobRow);
     side.toggleAttribute('data-first', state.loaded && !state.datasets.length);
+    if (!adding && may('train')) side.prepend(adding = uploadPanel(signal));
     if (!state.loaded) {
       fill(sceneBox, skeleton(3));
       fill(datasetBox, skeleton(2));
@@ -61,11 +63,13 @@ export function homeView(root, {signal}) {
           datasetBox,
           empty(
               'No datasets',
-              h('p', null, 'What you add shows here, with its views and sizes.')));
+              may('train') ? h('p', null, 'What you add shows here, with its views and sizes.') :
+                             null));
   }, signal);
 }
 
 function noScenes(datasets) {
+  if (!may('train')) return empty('No scenes yet');
   if (datasets.length) {
     return empty(
         'No scenes yet', h('p', null, 'A scene is trained from a dataset.'),
@@ -132,12 +136,12 @@ async function sceneThumb(scene, mark, signal) {
   const rendered = async (of) =>
       (await api.render(scene.id, {...of, format: 'jpeg'}, signal)).blob;
   if (!scene.dataset) {
-    if (!scene.loaded) throw new Error('has no photograph');
+    if (!scene.loaded || !mayRender()) throw new Error('has no photograph');
     return rendered({camera: cameraOf(defaultOrbit(scene.bounds), size.width, size.height)});
   }
   const views = await api.cameras(scene.dataset, signal);
   const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
-  if (scene.loaded && scene.steps > 0) {
+  if (scene.loaded && scene.steps > 0 && mayRender()) {
     try {
       return await rendered({view: `${split}:${index}`, size});
     } catch (error) {
@@ -149,28 +153,32 @@ async function sceneThumb(scene, mark, signal) {
 }
 
 function datasetRow(set) {
-  const node =
-      h('tr', null, h('th', {scope: 'row'}, h('a', {href: link.dataset(set.name)}, set.name)),
-        h('td', null,
-          ['train', 'val', 'test']
-              .filter((split) => set.views[split])
-              .map((split, i) => [i ? ', ' : '', h('span', {class: 'whole'}, `${set.views[split]} ${split}`)])),
-        h('td', {class: 'number optional'}, `${set.width} × ${set.height}`),
-        h('td', {class: 'number optional'}, set.scales),
-        h('td', {class: 'number optional'}, bytes(set.size_bytes)),
-        h('td', {class: 'actions'},
-          h('a', {class: 'button small', href: link.dataset(set.name)}, 'Train…'),
-          h('button', {
-            type: 'button',
-            class: 'small bare',
-            'aria-label': `Delete dataset ${set.name}`,
-            onclick: () => confirmFirst(
-                `Delete the dataset ${set.name} with its ${plural(set.frames, 'image')}?`, 'Delete',
-                async () => {
-                  await api.removeDataset(set.id);
-                  refreshSoon();
-                })
-          },
-            'Delete')));
+  const node = h(
+      'tr', null, h('th', {scope: 'row'}, h('a', {href: link.dataset(set.name)}, set.name)),
+      h('td', null,
+        ['train', 'val', 'test']
+            .filter((split) => set.views[split])
+            .map(
+                (split, i) =>
+                    [i ? ', ' : '', h('span', {class: 'whole'}, `${set.views[split]} ${split}`)])),
+      h('td', {class: 'number optional'}, `${set.width} × ${set.height}`),
+      h('td', {class: 'number optional'}, set.scales),
+      h('td', {class: 'number optional'}, bytes(set.size_bytes)),
+      h('td', {class: 'actions'},
+        may('train') ? h('a', {class: 'button small', href: link.dataset(set.name)}, 'Train…') :
+                       null,
+        mayChange(set) ? h('button', {
+          type: 'button',
+          class: 'small bare',
+          'aria-label': `Delete dataset ${set.name}`,
+          onclick: () => confirmFirst(
+              `Delete the dataset ${set.name} with its ${plural(set.frames, 'image')}?`, 'Delete',
+              async () => {
+                await api.removeDataset(set.id);
+                refreshSoon();
+              })
+        },
+                           'Delete') :
+                         null));
   return {node};
 }

@@ -1,7 +1,7 @@
 // One job of any kind: its state and what came of it.
 import {api} from '../api.js';
 import {fill, h, text} from '../dom.js';
-import {find, isActive, isVisit, isVisitor, putJob, state, watch} from '../store.js';
+import {find, isActive, isVisit, isVisitor, may, putJob, state, watch} from '../store.js';
 import {ago, decibel, fixed, milliseconds, plural, seconds} from '../format.js';
 import {
   chip,
@@ -254,13 +254,15 @@ function evaluationResult(r, scene) {
           headRow(['View', 'Scale', 'PSNR', 'SSIM', 'Rendering']),
           h('tbody', null,
             views.map(
-                (v) =>
-                    h('tr', null,
-                      h('th', {scope: 'row'},
-                        h('a', {href: link.scene(scene, `?view=${p.split}:${v.index}`)}, v.name)),
-                      h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
-                      h('td', {class: 'number'}, decibel(v.psnr)),
-                      h('td', {class: 'number'}, fixed(v.ssim, 4)),
-                      h('td', {class: 'number'}, milliseconds(v.render_ms)))))))
+                (v) => h(
+                    'tr', null,
+                    h('th', {scope: 'row'},
+                      may('render') ?
+                          h('a', {href: link.scene(scene, `?view=${p.split}:${v.index}`)}, v.name) :
+                          v.name),
+                    h('td', {class: 'number'}, v.scale ? `1/${2 ** v.scale}` : 'full'),
+                    h('td', {class: 'number'}, decibel(v.psnr)),
+                    h('td', {class: 'number'}, fixed(v.ssim, 4)),
+                    h('td', {class: 'number'}, milliseconds(v.render_ms)))))))
   ];
 }

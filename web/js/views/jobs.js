@@ -1,7 +1,7 @@
 // All jobs, and the row of one job that other views show too.
 import {api} from '../api.js';
 import {fill, follow, h, text} from '../dom.js';
-import {isActive, putJob, watch} from '../store.js';
+import {isActive, mayChange, putJob, watch} from '../store.js';
 import {ago, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
 import {
   action,
@@ -66,7 +66,7 @@ export function jobButtons(small) {
   return {
     node,
     update: (job) => {
-      const verbs = verbsOf(job);
+      const verbs = mayChange(job) ? verbsOf(job) : [];
       const key = `${job.id} ${verbs.join()}`;
       if (key === shown) return;
       shown = key;

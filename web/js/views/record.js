@@ -1,7 +1,17 @@
 // A scene's record: differences from the paper, evaluations, checkpoints, deletion.
 import {api, token} from '../api.js';
 import {fill, h, saveBlob} from '../dom.js';
-import {find, isActive, means, putJob, refreshSoon, state, watch} from '../store.js';
+import {
+  find,
+  isActive,
+  may,
+  mayChange,
+  means,
+  putJob,
+  refreshSoon,
+  state,
+  watch
+} from '../store.js';
 import {ago, bytes, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
 import {action, confirmFirst, facts, meter, panel, progressWords, recordedProblem, toast} from '../ui.js';
 import {reportOf} from '../report.js';
@@ -30,7 +40,7 @@ export function differencesPanel(scene) {
 /**
  * Finished evaluations, one under way, and the way to start one.
  * @param {any} scene @param {(split: string, index: number) => void} look at a view beside its
- *     photograph @param {AbortSignal} signal
+ *     photograph, where there is one @param {AbortSignal} signal
  */
 export function qualityPanel(scene, look, signal) {
   const list = h('div');
@@ -73,7 +83,9 @@ export function qualityPanel(scene, look, signal) {
                   })),
       {kind: 'small'});
   return panel(
-      'Quality', {'data-order': 2, tools: h('div', {class: 'row'}, views, start)}, now, list);
+      'Quality',
+      {'data-order': 2, tools: may('render') ? h('div', {class: 'row'}, views, start) : null}, now,
+      list);
 }
 
 const splitOf = (scene) => {
@@ -92,8 +104,10 @@ function worstViews({per_view: views, protocol: {split}}, look) {
       h('p', {class: 'row wrap worst'}, h('span', {class: 'quiet'}, 'Worst views'),
         worst.map(
             ({index, psnr}) =>
-                h('button', {type: 'button', class: 'small', onclick: () => look(split, index)},
-                  `${split}:${index} ${decibel(psnr, 1)}`))) :
+                (look ? h('button',
+                          {type: 'button', class: 'small', onclick: () => look(split, index)},
+                          `${split}:${index} ${decibel(psnr, 1)}`) :
+                        h('span', null, `${split}:${index} ${decibel(psnr, 1)}`)))) :
       null;
 }
 
@@ -123,26 +137,30 @@ export function aboutPanel(scene) {
       h('a', {class: 'button', href: path, download: file}, 'Download checkpoint');
   return panel(
       'Record', {
-        tools: h('div', {class: 'row'},
-            action(
-                'Report',
-                async () => {
-                  saveBlob(await reportOf(scene.id), `${scene.name}-report.html`);
-                  toast('The report is saved: one file, which prints.');
-                },
-                {kind: 'small', title: 'One HTML file with pictures, figures and curves'}),
-            h('button', {
-              type: 'button',
-              class: 'small bare',
-              onclick: () => confirmFirst(
-                  `Delete the scene ${scene.name} with its checkpoints?`, 'Delete',
-                  async () => {
-                    await api.removeScene(scene.id);
-                    refreshSoon();
-                    go(link.home());
-                  })
-            },
-              'Delete'))
+        tools:
+            h('div', {class: 'row'},
+              may('render') ?
+                  action(
+                      'Report',
+                      async () => {
+                        saveBlob(await reportOf(scene.id), `${scene.name}-report.html`);
+                        toast('The report is saved: one file, which prints.');
+                      },
+                      {kind: 'small', title: 'One HTML file with pictures, figures and curves'}) :
+                  null,
+              mayChange(scene) ? h('button', {
+                type: 'button',
+                class: 'small bare',
+                onclick: () => confirmFirst(
+                    `Delete the scene ${scene.name} with its checkpoints?`, 'Delete',
+                    async () => {
+                      await api.removeScene(scene.id);
+                      refreshSoon();
+                      go(link.home());
+                    })
+              },
+                                   'Delete') :
+                                 null)
       },
       facts([
         [

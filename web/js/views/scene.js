@@ -1,8 +1,8 @@
 // One scene: look at it while it trains, record a path, see how it does.
 import {api, Unreachable} from '../api.js';
 import {every, fill, follow, h} from '../dom.js';
-import {find, isActive, isVisitor, means, state, trainingOf, watch} from '../store.js';
-import {chip, panel, problemBox, setChip, skeleton} from '../ui.js';
+import {find, isActive, isVisitor, may, means, state, trainingOf, watch} from '../store.js';
+import {chip, empty, panel, problemBox, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
 import {createCurve} from './curve.js';
 import {createKeys} from './keys.js';
@@ -102,7 +102,7 @@ function listed(id, signal) {
 function page(scene, cameras, mark, query, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
-  let keys = null;
+  let keys = {};
   const past = {
     seconds: Number(query?.get('at')) || null,
     changed: () => {},
@@ -123,25 +123,28 @@ function page(scene, cameras, mark, query, signal) {
         besideFull: () => view.besideFull()
       },
       signal);
-  const view = createViewport(
-      scene, cameras, {
-        live: training,
-        failed: () => find(state.scenes, scene.id)?.state === 'failed',
-        onKey: () => keys.record(),
-        onTake: () => keys.take(),
-        onPick: (id) => keys.choose(id),
-        onRefined: (facts) => cost.picture(facts),
-        camera: query?.get('camera'),
-        crop: query?.get('crop'),
-        at: past.seconds,
-        onNow: () => past.show(null),
-        up: dataset?.up
-      },
-      signal);
-  keys = createKeys(
-      scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
+  const view = !may('render') ?
+      unseen() :
+      createViewport(
+          scene, cameras, {
+            live: training,
+            failed: () => find(state.scenes, scene.id)?.state === 'failed',
+            onKey: () => keys.record(),
+            onTake: () => keys.take(),
+            onPick: (id) => keys.choose(id),
+            onRefined: (facts) => cost.picture(facts),
+            camera: query?.get('camera'),
+            crop: query?.get('crop'),
+            at: past.seconds,
+            onNow: () => past.show(null),
+            up: dataset?.up
+          },
+          signal);
+  if (may('render'))
+    keys = createKeys(
+        scene, {width: dataset?.width ?? 400, height: dataset?.height ?? 400}, view, signal);
   const [split, index] = (query?.get('view') ?? '').split(':');
-  if (split) queueMicrotask(() => view.compare(split, Number(index)));
+  if (split && may('render')) queueMicrotask(() => view.compare(split, Number(index)));
   const record = h('div', {class: 'stack', 'data-order': 4});
   const more = h('div', {class: 'stack', 'data-order': 3});
   watch(() => {
@@ -154,6 +157,15 @@ function page(scene, cameras, mark, query, signal) {
       h('div', {class: 'side-column'}, trainingPanel(scene.id, signal, past), cost.node, pathsPanel(scene, signal),
         qualityPanel(scene, view.compare, signal), stabilityPanel(scene, signal), record));
 }
+
+/** In the view's place for a token that only reads. */
+const unseen = () => ({
+  node: empty(
+      'No pictures',
+      h('p', null, 'Your token only reads. To look around and to render paths it needs the scope ',
+        h('code', null, 'render'), '.')),
+  refresh: () => {}
+});
 
 /** Effects, differences and facts, read again while they can change. */
 function keepRecord(scene, {record, more}, training, view, signal) {

@@ -2,7 +2,7 @@
 // rays, and the doctor, which computes again with higher precision.
 import {api} from '../api.js';
 import {fill, h} from '../dom.js';
-import {isActive, isOver, means, putJob, trainingOf, watch} from '../store.js';
+import {isActive, isOver, may, means, putJob, trainingOf, watch} from '../store.js';
 import {plural, whole} from '../format.js';
 import {action, meter, panel, progressWords, recordedProblem, scroller} from '../ui.js';
 import {link} from '../router.js';
@@ -38,8 +38,9 @@ const headRow = (...names) =>
 const rayRow = (scene) => (ray) =>
     h('tr', null,
       h('th', {scope: 'row'},
-        h('a', {href: link.scene(scene.name, `?view=${ray.split}:${ray.index}`)},
-          `${ray.split}:${ray.index}`)),
+        may('render') ? h('a', {href: link.scene(scene.name, `?view=${ray.split}:${ray.index}`)},
+                          `${ray.split}:${ray.index}`) :
+                        `${ray.split}:${ray.index}`),
       h('td', {class: 'number'}, `${ray.x}, ${ray.y}${ray.scale ? ` at 1/${2 ** ray.scale}` : ''}`),
       h('td', null, ray.fault));
 
@@ -52,8 +53,10 @@ function incidentItem(scene, replay) {
           ` · ${plural(incident.nonfinite_rays, 'ray')}, ${
               plural(
                   incident.nonfinite_parameters, 'parameter')} not finite · ${incident.kernels} `,
-          action(
-              'Replay', () => replay(file), {kind: 'small', title: 'Computes these rays again'})),
+          may('render') ? action(
+                              'Replay', () => replay(file),
+                              {kind: 'small', title: 'Computes these rays again'}) :
+                          null),
         rays.length ?
             h('details', null,
               h('summary', null,
@@ -170,6 +173,6 @@ export function stabilityPanel(scene, signal) {
     load().catch(() => {});  // the next change asks again
   }, signal);
   return panel(
-      'Stability', {tools: button, 'data-order': 3}, counters, incidents, words,
-      createDoctor(scene, signal));
+      'Stability', {tools: may('render') ? button : null, 'data-order': 3}, counters, incidents,
+      words, createDoctor(scene, signal));
 }

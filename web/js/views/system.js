@@ -1,9 +1,9 @@
 // What the daemon runs on and its limits.
 import {token} from '../api.js';
 import {fill, h} from '../dom.js';
-import {watch} from '../store.js';
+import {isVisitor, watch} from '../store.js';
 import {bytes, seconds, whole} from '../format.js';
-import {facts, panel, skeleton} from '../ui.js';
+import {facts, panel, SCOPE_MEANS, skeleton} from '../ui.js';
 
 export function systemView(root, {signal}) {
   const box = h('div', {class: 'columns even'});
@@ -54,19 +54,24 @@ export function systemView(root, {signal}) {
         panel(
             'This page', null,
             h('p', null, 'Everything here goes through the documented interface: ',
-              h('a', {href: 'v1/openapi.json'}, 'openapi.json'), '.'),
+              token.get() ? h('code', null, 'v1/openapi.json') :  // a link carries no token
+                            h('a', {href: 'v1/openapi.json'}, 'openapi.json'),
+              '.'),
             token.get() ?
                 [
                   h('p', {class: 'quiet'},
-                    `Its token is ${info.you.name ?? 'the daemon’s own'}, with the scope ${info.you.scope}${
-                        info.you.expires_at ? `, until ${info.you.expires_at.slice(0, 16).replace('T', ' ')} UTC` : ''}.`),
+                    `Its token is ${info.you.name ?? 'the daemon’s own'}, with the scope ${
+                        info.you.scope}${
+                        info.you.expires_at ?
+                            `, until ${info.you.expires_at.slice(0, 16).replace('T', ' ')} UTC` :
+                            ''}. ${isVisitor() ? '' : SCOPE_MEANS[info.you.scope] ?? ''}`),
                   h('button', {
-              type: 'button',
-              onclick: () => {
-                token.set(null);
-                location.reload();
-              }
-            },
+                    type: 'button',
+                    onclick: () => {
+                      token.set(null);
+                      location.reload();
+                    }
+                  },
                     'Forget the token')
                 ] :
                 h('p', {class: 'quiet'}, 'No token is in use.')));

@@ -3,7 +3,7 @@ import {api} from '../api.js';
 import {drawChart} from '../chart.js';
 import {fill, follow as keyed, h, text} from '../dom.js';
 import {followJob} from '../follow.js';
-import {isActive, trainingOf, find, state, watch} from '../store.js';
+import {isActive, may, trainingOf, find, state, watch} from '../store.js';
 import {compact, decibel, fixed, seconds, whole} from '../format.js';
 import {
   announce,
@@ -108,15 +108,17 @@ export function trainingPanel(sceneId, signal, past) {
           active ? underWay(job) : ended(job, figures));
     }
     STATS.forEach(([, read], i) => text(stats[i].value, read(figures)));
-    drawChart(
-        chart, chartPoints(points, figures),
-        {
-          limitX: active ? figures.max_seconds : 0,
-          running: active,
-          now: figures.train_seconds,
-          others: rivals.shown(),
-          past: {marks, at: past?.seconds ?? null, look: (seconds) => look(scene, seconds)}
-        });
+    drawChart(chart, chartPoints(points, figures), {
+      limitX: active ? figures.max_seconds : 0,
+      running: active,
+      now: figures.train_seconds,
+      others: rivals.shown(),
+      past: {
+        marks: may('render') ? marks : [],
+        at: past?.seconds ?? null,
+        look: (seconds) => look(scene, seconds)
+      }
+    });
     bar.node.hidden = job?.state === 'failed';
     rivals.offer(scene);
     showProblem(job, scene);
@@ -138,8 +140,8 @@ export function trainingPanel(sceneId, signal, past) {
 
   /** The form with the same settings, to be changed: a scene itself is not trained further. */
   function offerAgain(job, scene) {
-    again.hidden = !find(state.datasets, scene.dataset) || Boolean(scene.viewing) ||
-        (job ? isActive(job) : scene.state !== 'ready');
+    again.hidden = !may('train') || !find(state.datasets, scene.dataset) ||
+        Boolean(scene.viewing) || (job ? isActive(job) : scene.state !== 'ready');
     again.setAttribute(
         'href', link.dataset(scene.dataset_name, `?like=${encodeURIComponent(scene.name)}`));
   }

@@ -26,7 +26,7 @@ import {createViewer} from '../viewer.js';
 import {action, choice, copyWords, toast} from '../ui.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
-import {mayShare, means, state} from '../store.js';
+import {may, means, state} from '../store.js';
 import {createCrop} from './crop.js';
 import {cameraNear, drawOverlay} from './overlay.js';
 import {createWipe} from './wipe.js';
@@ -393,20 +393,22 @@ export function createViewport(scene, cameras, host, signal) {
         photographs.length ?
             h('div', {class: 'tool'}, cameras3d, h('label', {'for': 'show-cameras'}, 'Cameras')) :
             null,
-        rivals.length || marks ? h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival) :
-                        null,
+        rivals.length || marks ?
+            h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival) :
+            null,
         h('div', {class: 'tool tools-end'},
           h('button', {type: 'button', class: 'small', title: 'R', onclick: () => set(start)},
             'Reset'),
           h('button', {type: 'button', class: 'small', title: 'F', onclick: fillScreen},
             'Full screen'),
           action('Save picture', () => save(), {kind: 'small', title: 'As it is shown, refined'}),
-          exact(save), crop.node, action('Copy link', share, {kind: 'small', title: 'A link to this camera'}),
-          mayShare() ? action('Share', publish, {
+          exact(save), crop.node,
+          action('Copy link', share, {kind: 'small', title: 'A link to this camera'}),
+          may('train') ? action('Share', publish, {
             kind: 'small',
             title: 'A link for someone without a token: this scene, read-only, for 30 days'
           }) :
-                       null),
+                         null),
         host.onKey ?
             h('button', {type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey()},
               'Record key') :
