@@ -24,6 +24,19 @@ struct transfer {
     bool aborted; // by `read`
 };
 
+// The URL of what is named without a scheme: a daemon's address, with its port or without.
+// malloc'd.
+static char *url_of_address(const char *address) {
+    size_t size = strcspn(address, "/");
+    const char *inner = memchr(address, ']', size), *from = inner ? inner : address; // of IPv6
+    bool has_port = memchr(from, ':', size - (size_t)(from - address)) != NULL;
+    char *url;
+    return asprintf(&url, "http://%.*s%s%s", (int)size, address,
+                    has_port ? "" : ":" RN_HTTP_DEFAULT_PORT, address + size) < 0
+               ? NULL
+               : url;
+}
+
 static char *join(const char *first, const char *second) {
     size_t size = strlen(first) + strlen(second) + 1;
     char *text = malloc(size);
@@ -36,7 +49,7 @@ static char *join(const char *first, const char *second) {
 
 enum rn_status rn_http_create(const char *host, const char *token, struct rn_http **ret_http,
                               struct rn_error *err) {
-    const char *named = strstr(host, "://"), *scheme = named ? "" : "http://";
+    const char *named = strstr(host, "://");
     const char *place = named ? named + 3 : host;
     if ((named && strncmp(host, "http://", 7) != 0 && strncmp(host, "https://", 8) != 0) ||
         !*place || strcspn(place, "/ ") == 0 || strchr(place, ' '))
@@ -46,7 +59,7 @@ enum rn_status rn_http_create(const char *host, const char *token, struct rn_htt
         return rn_error_set(err, RN_ERROR_INVALID, "token", "holds a line break");
     struct rn_http *http = calloc(1, sizeof *http);
     if (!http) return rn_error_set(err, RN_ERROR_NO_MEMORY, "http", "memory ran out");
-    http->host = join(scheme, host);
+    http->host = named ? strdup(host) : url_of_address(host);
     http->authorization = token ? join(bearer, token) : NULL;
     if (curl_global_init(CURL_GLOBAL_DEFAULT) == CURLE_OK) {
         http->easy = curl_easy_init();

@@ -8,14 +8,16 @@
 #include "common/base/buf.h"
 #include "common/base/status.h"
 
-#define RN_HTTP_DEFAULT_HOST "http://127.0.0.1:7373"
+#define RN_HTTP_DEFAULT_PORT "7373"
+#define RN_HTTP_DEFAULT_HOST "http://127.0.0.1:" RN_HTTP_DEFAULT_PORT
 #define RN_HTTP_MAX_BODY (256u << 20) // bytes of an answer that is kept in memory
 
 // A connection to a daemon, kept open between requests. Thread-safety: one thread at a time.
 struct rn_http;
 
-// `host` is a URL, or an address and port for http; `token` (NULL: none) goes into every request.
-// Proxies of the environment are not used. RN_ERROR_INVALID for a URL of another scheme.
+// `host` is a URL, or a daemon's address for http, with the default port where it names none;
+// `token` (NULL: none) goes into every request. Proxies of the environment are not used.
+// RN_ERROR_INVALID for a URL of another scheme.
 enum rn_status rn_http_create(const char *host, const char *token, struct rn_http **ret_http,
                               struct rn_error *err) RN_MUST_CHECK;
 // A second connection to the same daemon with the same token: a request may be made on it while

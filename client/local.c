@@ -75,9 +75,8 @@ static enum rn_exit wait_for(pid_t pid) {
     if (!WIFEXITED(status))
         return rn_client_error(RN_EXIT_FAILED, "ripnerf-runner", "was killed by signal %d",
                                WTERMSIG(status));
-    return WEXITSTATUS(status) == 0   ? RN_EXIT_OK
-           : WEXITSTATUS(status) == 2 ? RN_EXIT_USAGE
-                                      : RN_EXIT_FAILED;
+    int code = WEXITSTATUS(status); // this program's
+    return code <= RN_EXIT_INVALID ? (enum rn_exit)code : RN_EXIT_FAILED;
 }
 
 // What the runner complained of last, "ripnerf-runner: WHERE: TEXT", as an error of this program.

@@ -430,7 +430,7 @@ static enum rn_exit run_import(struct rn_client *client, const void *context, co
     struct rn_tar *tar = NULL;
     char job[RN_ID_MAX];
     bool scene = rn_is_scene_file(args[0]);
-    if (!options->name) return rn_client_usage("import", "needs --name N");
+    if (!options->name) return rn_name_missing("import", args[0]);
     if (check_scene_options(options, scene) != RN_EXIT_OK) return RN_EXIT_USAGE;
     if (!scene && !take_options(options, &capture.asked)) return RN_EXIT_USAGE;
     if (scene) return rn_import_scene(client, args[0], options->name, options->dataset);

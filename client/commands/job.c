@@ -195,7 +195,7 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
     const struct train_options *options = context;
     char job[RN_ID_MAX], *answer = NULL;
     struct rn_error err;
-    if (!options->name && !options->estimate) return rn_client_usage("train", "needs --name SCENE");
+    if (!options->name && !options->estimate) return rn_name_missing("train", args[0]);
     if (rn_train_choice_check(options->settings, &err) != RN_OK) {
         char flag[64];
         snprintf(flag, sizeof flag, "--%.60s", err.where);

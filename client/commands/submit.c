@@ -1,9 +1,11 @@
 #include "client/commands/submit.h"
 
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "proto/checks.h"
 #include "proto/dataset.h"
 
 bool rn_take_text(const char *option, const char *text, const char *(*check)(const char *),
@@ -15,6 +17,31 @@ bool rn_take_text(const char *option, const char *text, const char *(*check)(con
     else
         rn_client_usage(option, "%s; it is '%s'", wrong, text);
     return !wrong;
+}
+
+// What a source is called: the last part of its path, without a film's or a scene file's ending;
+// "NAME" where that cannot be a name.
+static void name_of(const char *source, char ret_name[RN_NAME_MAX]) {
+    char path[PATH_MAX];
+    if (!realpath(source, path)) snprintf(path, sizeof path, "%s", source);
+    for (size_t end = strlen(path); end > 1 && path[end - 1] == '/';)
+        path[--end] = '\0';
+    const char *slash = strrchr(path, '/'), *last = slash ? slash + 1 : path;
+    const char *dot = strrchr(last, '.');
+    size_t size = dot && dot > last ? (size_t)(dot - last) : strlen(last);
+    if (size >= RN_NAME_MAX) size = 0;
+    snprintf(ret_name, RN_NAME_MAX, "%.*s", (int)size, last);
+    if (rn_check_name(ret_name)) snprintf(ret_name, RN_NAME_MAX, "NAME");
+}
+
+enum rn_exit rn_name_missing(const char *verb, const char *source) {
+    static const char plain[] =
+        "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789/._-+:,@%";
+    const char *quote = source[strspn(source, plain)] ? "'" : "";
+    char name[RN_NAME_MAX];
+    name_of(source, name);
+    return rn_client_usage(verb, "needs a name: ripnerf %s %s%s%s --name %s", verb, quote, source,
+                           quote, name);
 }
 
 bool rn_crop_option(const char *text, double ret_crop[6]) {

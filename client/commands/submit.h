@@ -21,6 +21,9 @@ enum rn_exit rn_submit_and_follow(struct rn_client *client, char *body,
 // (NULL: by its length alone). false, with a complaint, where it does not do.
 bool rn_take_text(const char *option, const char *text, const char *(*check)(const char *),
                   char *ret_field, size_t capacity);
+// A usage error where --name is missing, with the command that has one: `ripnerf VERB SOURCE`, and
+// the name of the source, a file or folder here or something of the daemon's.
+enum rn_exit rn_name_missing(const char *verb, const char *source);
 // --crop's box into a request, where there is one; false, with a complaint, where it is none.
 bool rn_crop_option(const char *text, double ret_crop[6]);
 // A usage error where settings ask for more than one budget, or for one beside others.

@@ -113,8 +113,11 @@ static enum rn_status complain_of_file(const char *file, struct rn_error *err) {
             snprintf(folder, sizeof folder, "%s", slash ? "/" : ".");
         if (!*first) snprintf(first, sizeof first, "%s", folder);
     } while (!is_dataset(folder) && slash > folder);
-    return rn_error_set(err, RN_ERROR_INVALID, file, "is a file; give the folder: %s",
-                        is_dataset(folder) ? folder : first);
+    if (is_dataset(folder))
+        return rn_error_set(err, RN_ERROR_INVALID, file, "is a file; give the folder: %s", folder);
+    return rn_error_set(err, RN_ERROR_INVALID, file,
+                        "is a file; give the folder with all photographs, perhaps %s",
+                        strcmp(first, ".") == 0 ? "where you are: ." : first);
 }
 
 enum rn_status rn_formats_recognise(const char *folder, const struct rn_format *ret_found[],

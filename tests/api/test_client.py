@@ -131,7 +131,11 @@ def test_a_time_says_how_times_are_written(client, daemon, value):
     (["jobs", "--frames", "3"], "--frames: there is no such option"),
     (["synth"], "synth: needs NAME and DIR: ripnerf synth NAME DIR"),
     (["synth", "sphere"], "synth: needs DIR: ripnerf synth NAME DIR"),
-    (["train"], "train: needs DATASET: ripnerf train DATASET --name SCENE")])
+    (["train"], "train: needs DATASET: ripnerf train DATASET --name SCENE"),
+    (["train", "lego"], "train: needs a name: ripnerf train lego --name lego"),
+    (["import", "photos/"], "import: needs a name: ripnerf import photos/ --name photos"),
+    (["import", "../a b/my film.mov"], "import: needs a name: ripnerf import '../a b/my film.mov' --name NAME"),
+    (["import", "/d/walk.mov", "--max-size", "800"], "import: needs a name: ripnerf import /d/walk.mov --name walk")])
 def test_what_was_meant_is_said(client, arguments, words):
     assert client.run(*arguments, code=USAGE).stderr == f"ripnerf: {words}\n"
 
@@ -153,7 +157,11 @@ def test_a_file_of_a_dataset_is_not_its_folder(client, folder, tmp_path):
         assert client.run("validate", name, code=INVALID).stdout == (
             f"error    {name}: is a file; give the folder: {meant}\n")
     write_blank(tmp_path / "a.png", 4, 4)
-    assert "give the folder: .\n" in client.run("validate", "a.png", code=INVALID).stdout
+    (tmp_path / "bare").mkdir()
+    write_blank(tmp_path / "bare" / "b.png", 4, 4)
+    for name, meant in (("a.png", "where you are: ."), ("bare/b.png", "bare")):
+        assert client.run("validate", name, code=INVALID).stdout == (
+            f"error    {name}: is a file; give the folder with all photographs, perhaps {meant}\n")
 
 
 def test_differences_from_the_paper_are_listed_where_asked_for(client, scene):

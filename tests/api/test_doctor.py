@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from support import checked
-from support.client import NOT_FOUND, OK, UNREACHABLE, USAGE, Client
+from support.client import INVALID, NOT_FOUND, OK, UNREACHABLE, USAGE, Client
 from support.daemon import Daemon
 
 CASE = {"name", "kernels", "worst", "bound", "unit", "passed", "skipped", "where"}
@@ -124,7 +124,7 @@ def test_an_incident_is_replayed(client, tmp_path):
 
 
 def test_a_record_of_another_scene_is_refused(client, tmp_path):
-    result = replay(client, tmp_path, incident(10**12), USAGE)
+    result = replay(client, tmp_path, incident(10**12), INVALID)
     assert "more parameters" in result.stderr
 
 
@@ -136,8 +136,8 @@ def test_a_record_of_another_scene_is_refused(client, tmp_path):
 def test_a_wrong_record_is_named(client, tmp_path, spoil, what):
     record = incident()
     spoil(record)
-    error = json.loads(replay(client, tmp_path, record, USAGE).stderr)["error"]
-    assert error["where"].endswith(f"record.json{what}") and error["exit_code"] == USAGE
+    error = json.loads(replay(client, tmp_path, record, INVALID).stderr)["error"]
+    assert error["where"].endswith(f"record.json{what}") and error["exit_code"] == INVALID
 
 
 def test_a_checkpoint_with_a_spoilt_number_does_not_pass(build, client, daemon, tmp_path):

@@ -155,7 +155,7 @@ int rn_runner_doctor(const struct rn_runner_doctor *options) {
     if (!status) status = rn_doctor_result_json(&result, &json, &err);
     if (status) {
         fprintf(stderr, "ripnerf-runner: %s: %s\n", err.where, err.text);
-        return status == RN_ERROR_INVALID || status == RN_ERROR_NOT_FOUND ? 2 : 1;
+        return status == RN_ERROR_INVALID ? 4 : status == RN_ERROR_NOT_FOUND ? 3 : 1; // as ripnerf
     }
     bool written = puts(json) >= 0 && fflush(stdout) == 0;
     free(json);

@@ -14,7 +14,8 @@ struct rn_runner_doctor {
 };
 
 // Prints one JSON object (proto/doctor.h) on stdout, what is under way and errors on stderr.
-// Returns an exit code: 0, 1 when something failed, a bound included, 2 for a wrong file.
+// Returns an exit code, as ripnerf's: 0, 1 when something failed, a bound included, 3 for a file
+// that is missing, 4 for a wrong one.
 int rn_runner_doctor(const struct rn_runner_doctor *options);
 
 // JSON of rn_doctor_table, to be freed.

@@ -394,6 +394,28 @@ static const struct {
     {RN_JOB_DOCTOR, "{\"passed\":1}", ""},
 };
 
+// Where a daemon is said to be, and its URL.
+static const struct {
+    const char *said, *url;
+} hosts[] = {
+    {"localhost", "http://localhost:" RN_HTTP_DEFAULT_PORT},
+    {"10.0.0.7/", "http://10.0.0.7:" RN_HTTP_DEFAULT_PORT},
+    {"localhost:80", "http://localhost:80"},
+    {"[::1]", "http://[::1]:" RN_HTTP_DEFAULT_PORT},
+    {"[::1]:80/x", "http://[::1]:80/x"},
+    {"http://localhost", "http://localhost"}, // of a URL it is the scheme's
+    {"https://a/b//", "https://a/b"},
+};
+
+START_TEST(hosts_without_a_port_have_the_daemons) {
+    struct rn_http *http;
+    struct rn_error err = {0};
+    ck_assert_int_eq(rn_http_create(hosts[_i].said, NULL, &http, &err), RN_OK);
+    ck_assert_str_eq(rn_http_host(http), hosts[_i].url);
+    rn_http_destroy(&http);
+}
+END_TEST
+
 START_TEST(jobs_tell_their_figures) {
     struct rn_job job = {.type = outcomes[_i].type, .result = (char *)outcomes[_i].result};
     char text[200];
@@ -416,6 +438,8 @@ int main(void) {
     tcase_add_test(plain, figures_for_people);
     tcase_add_test(plain, names_are_escaped_in_paths);
     tcase_add_loop_test(plain, jobs_tell_their_figures, 0, sizeof outcomes / sizeof *outcomes);
+    tcase_add_loop_test(plain, hosts_without_a_port_have_the_daemons, 0,
+                        sizeof hosts / sizeof *hosts);
     tcase_set_timeout(files, 60); // a busy disk
     tcase_add_checked_fixture(files, make_folder, remove_folder);
     tcase_add_test(files, archives_are_read_back_by_libarchive);

@@ -431,7 +431,8 @@ START_TEST(no_dataset) {
     put_text("file", "x");
     ck_assert_int_eq(rn_dataset_read(in_folder("file"), NULL, &dataset, &err), RN_ERROR_INVALID);
     char advice[256];
-    snprintf(advice, sizeof advice, "is a file; give the folder: %s", folder);
+    snprintf(advice, sizeof advice, "is a file; give the folder with all photographs, perhaps %s",
+             folder);
     ck_assert_str_eq(err.text, advice);
     put_text("transforms_train.json", "{");
     ck_assert_int_eq(truncate(in_folder("transforms_train.json"), (64L << 20) + 1), 0);
