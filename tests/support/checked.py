@@ -96,7 +96,7 @@ class Daemon:
     def start(self):
         words = [self.program, "--data", self.data, "--runner", self.runner, *self.flags]
         options = {"listen": "127.0.0.1:0", "drain": 3, "log-level": "debug", "curve-after": 0,
-                   **self.options}
+                   "header_timeout": PATIENCE_S, **self.options}
         for name, value in options.items():
             for item in value if isinstance(value, list) else [value]:
                 words += [f"--{name.replace('_', '-')}", str(item)]

@@ -2,7 +2,7 @@
 
 import time
 
-PATIENCE_S = 120
+PATIENCE_S = 240
 
 
 def wait_for(condition, seconds=PATIENCE_S, said=lambda: "it did not come to pass"):

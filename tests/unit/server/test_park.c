@@ -41,7 +41,7 @@ static void park_and_answer(void *context, struct rn_request *request, struct rn
     struct rn_error err;
     struct rn_parked *handle;
     struct rn_reply answer = {0};
-    ck_assert_int_eq(rn_request_park(request, 1000, on_gone, NULL, &handle, &err), RN_OK);
+    ck_assert_int_eq(rn_request_park(request, park_ms, on_gone, NULL, &handle, &err), RN_OK);
     rn_reply_text(&answer, 200, "text/plain", "at once");
     rn_parked_answer(handle, &answer);
 }
