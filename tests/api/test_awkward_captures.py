@@ -15,6 +15,7 @@ from support import captures
 from support.captures import COUNT
 from support.checked import Daemon
 from support.client import INVALID, OK, USAGE
+from support.waiting import PATIENCE_S
 
 MARK = b"\xef\xbb\xbf"  # with which Windows' editors begin a text
 BINARY, TEXT, STUDIO, NGP = "COLMAP, binary", "COLMAP, text", "nerfstudio", "instant-ngp"
@@ -175,7 +176,7 @@ CASES = {
 
 def validate(build, folder):
     done = subprocess.run([build / "client" / "ripnerf", "--json", "validate", folder],
-                          capture_output=True, text=True, timeout=60, check=False)
+                          capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     return done.returncode, json.loads(done.stdout)
 
 
@@ -195,7 +196,7 @@ def test_what_is_made_of_it(build, tmp_path, change, case):
 
 def test_a_format_that_is_none(build, tmp_path):
     done = subprocess.run([build / "client" / "ripnerf", "validate", tmp_path, "--format", "nerf"],
-                          capture_output=True, text=True, timeout=60, check=False)
+                          capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == USAGE and "must be one of native, " in done.stderr, done.stderr
     assert "llff; it is 'nerf'" in done.stderr
 

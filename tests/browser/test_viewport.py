@@ -65,8 +65,7 @@ def test_another_scene_or_an_earlier_moment_is_laid_over_the_view(page, fake):
 def test_a_double_click_looks_at_what_is_there(scene, asked):
     """The depth at that point is asked for, from where the camera stands."""
     pose = camera(scene)
-    stage = scene.find(".stage")
-    ActionChains(scene.driver).move_to_element_with_offset(stage, 90, 0).double_click().perform()
+    scene.double_click(scene.find(".stage"), 90, 0)
     there = scene.until(lambda: next((body["camera"]["world_from_camera"] for body in asked
                                       if body.get("output") == "depth"), None), "its depth")
     assert [row[3] for row in there] == pytest.approx([row[3] for row in pose], abs=1e-4)
