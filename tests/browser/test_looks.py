@@ -50,6 +50,32 @@ def test_blur_and_duplicates_are_told_before_anything_is_sent(page, daemon, ring
     assert page.complaints() == []
 
 
+@pytest.mark.parametrize("noise, told", [(True, "fitted to what the alpha channels cut out"), (False, "radius 1.5")])
+def test_a_ball_that_pixels_decide_is_not_told_before_they_are_read(page, daemon, tmp_path, noise, told):
+    """Of files of which only the beginnings were looked at; small ones are looked at whole."""
+    folder, frames = tmp_path / "cut", []
+    (folder / "train").mkdir(parents=True)
+    for i in range(3):
+        colour = Image.effect_noise((320, 320), 90) if noise else Image.new("L", (320, 320), 128)
+        alpha = Image.new("L", (320, 320), 0)
+        alpha.paste(255, (100, 100, 220, 220))
+        Image.merge("RGBA", (colour, colour, colour, alpha)).save(folder / f"train/r_{i}.png")
+        frames.append({"file_path": f"train/r_{i}", "transform_matrix": pose(2 * i)})
+    (folder / "transforms_train.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    assert ((folder / "train/r_0.png").stat().st_size > 64 << 10) == noise
+    page.open(daemon().url)
+    page.find(".drop")
+    page.all("#folder-input")[0].send_keys(str(folder))
+    page.says(told, ".preview .facts")
+    if not noise:
+        return
+    page.press("Import options")
+    page.type(page.field("Bounds"), "0,0,0,2")
+    page.field("Bounds").send_keys("\t")
+    page.says("radius 2 about (0, 0, 0)", ".preview .facts")
+    assert page.complaints() == []
+
+
 def test_photographs_without_poses_are_looked_at_too(page, daemon, ring):
     server = daemon()
     page.open(server.url)

@@ -105,8 +105,18 @@ function foundUnposed({views, report: told}, files) {
   ];
 }
 
-function found(validation, files, take, signal) {
-  const {views, items, bounds, scales} = validation;
+/**
+ * The ball, as it is known before pixels are read: where nobody gave one, the daemon fits it to what the photographs'
+ * alpha channels cut out.
+ */
+const boundsWords = ({bounds, report: told}, isWhole) =>
+    told.with_alpha && !isWhole && bounds.source !== 'given' && told.layout !== 'native' ?
+    'fitted to what the alpha channels cut out, once the photographs are read' :
+    `radius ${Number(bounds.radius.toPrecision(4))} about (${
+        bounds.centre.map((x) => Number(x.toPrecision(3))).join(', ')})`;
+
+function found(validation, files, {take, isWhole, signal}) {
+  const {views, items, scales} = validation;
   const masked = items.filter((item) => item.mask).length;
   const splits = Object.keys(SPLIT_COLOURS).filter((split) => views[split]);
   const {width, height} = items[0]?.camera ?? {};
@@ -116,11 +126,7 @@ function found(validation, files, take, signal) {
       ['Views', splits.map((split) => [swatch(split), ` ${views[split]} ${split} `])],
       ['Kept at', width && `${width} × ${height} px${scales > 1 ? `, ${scales} scales` : ''}`],
       ['Masks', masked ? `${masked} of ${plural(items.length, 'view')}` : 'none'],
-      [
-        'Bounds',
-        `radius ${Number(bounds.radius.toPrecision(4))} about (${
-            bounds.centre.map((x) => Number(x.toPrecision(3))).join(', ')})`
-      ],
+      ['Bounds', boundsWords(validation, isWhole)],
       ...expected(validation.report.expected, null)
     ]),
     items.length ? plot.node : null,
@@ -147,6 +153,7 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
   let asked = null;  // the newest job
   let shown = '';
   let timer = 0;
+  let isWhole = false;  // the heads of files are all of them
 
   const poses = plan.poses && {poses: plan.poses};
   async function look() {
@@ -172,6 +179,7 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
     fill(node, bar.node);
     const heads = await Promise.all(plan.entries.map(headOf));
     const size = heads.reduce((sum, {file}) => sum + file.size, 0);
+    isWhole = size === plan.bytes;
     if (size > most)
       return fill(
           node,
@@ -192,7 +200,8 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
     if (job.result)
       return fill(
           node,
-          plan.poses ? foundUnposed(job.result, files) : found(job.result, files, take, signal));
+          plan.poses ? foundUnposed(job.result, files) :
+                       found(job.result, files, {take, isWhole, signal}));
     fill(node, job.problem ? recordedProblem(job.problem) : null);
   };
   if (!plan.entries.some(({path}) => isPhotograph(path))) return {node};
