@@ -9,6 +9,7 @@
 #include "common/dataset/exposure.h"
 #include "common/dataset/reader.h"
 #include "common/math/around.h"
+#include "common/math/nearest.h"
 #include "common/math/numbers.h"
 #include "common/math/vector.h"
 
@@ -223,23 +224,17 @@ static bool same_place(const struct rn_camera *a, const struct rn_camera *b, dou
 // nearly the same place: of photographs whose names are in no order, neighbours by name show other
 // things.
 static bool is_sharp_in_its_place(const struct all *all, size_t i, double distance) {
-    double off[2 * NEIGHBOURS], sharp[2 * NEIGHBOURS];
-    size_t count = 0;
+    struct rn_nearest nearest = {.most = 2 * NEIGHBOURS};
+    double sharp[2 * NEIGHBOURS];
     for (size_t k = 0; k < all->count && isfinite(distance); k++) {
         const struct rn_camera *a = &all->frames[i]->camera, *b = &all->frames[k]->camera;
         if (k == i || !all->looks[k]->seen || !same_camera(all, all->frames[i], all->frames[k]))
             continue;
-        double apart = centre_distance(a, b) / distance + axes_angle(a, b);
-        size_t at = count < 2 * NEIGHBOURS ? count++ : 2 * NEIGHBOURS;
-        for (; at > 0 && off[at - 1] > apart; at--) {
-            if (at == 2 * NEIGHBOURS) continue;
-            off[at] = off[at - 1];
-            sharp[at] = sharp[at - 1];
-        }
-        if (at == 2 * NEIGHBOURS) continue;
-        off[at] = apart;
-        sharp[at] = (double)all->looks[k]->sharpness;
+        rn_nearest_offer(&nearest, centre_distance(a, b) / distance + axes_angle(a, b), k);
     }
+    size_t count = (size_t)nearest.count;
+    for (size_t n = 0; n < count; n++)
+        sharp[n] = (double)all->looks[nearest.which[n]]->sharpness;
     return count &&
            (double)all->looks[i]->sharpness >= BLURRED * rn_numbers_quantile(sharp, count, 0.5);
 }

@@ -241,6 +241,50 @@ START_TEST(what_neighbours_see_through_begins_empty) {
 }
 END_TEST
 
+// Of two photographs that saw all they saw from 3 away, nothing stands as near as half of that to
+// the way from one camera to the other; where they saw fewer points, nothing is known.
+START_TEST(what_lies_by_cameras_begins_empty) {
+    enum { POINTS = 20 };
+    struct rn_train_config config = config_for(dataset);
+    config.auto_effects = false;
+    config.field.space = RN_SPACE_UNBOUNDED;
+    config.cone_step = false;
+    for (int known = 0; known < 2; known++) {
+        struct rn_engine *engine = engine_with(1);
+        struct rn_dataset as = *dataset;
+        struct rn_frame frames[2] = {dataset->frames[0], dataset->frames[0]};
+        struct rn_point points[POINTS] = {{.error = -1}};
+        struct rn_sighting sightings[2 * POINTS];
+        for (uint32_t i = 0; i < 2 * POINTS; i++)
+            sightings[i] = (struct rn_sighting){.photo = i % 2, .point = i / 2};
+        for (int i = 0; i < 2; i++) {
+            frames[i].split = RN_SPLIT_TRAIN;
+            frames[i].photo = i;
+            const double poses[3][4] = {{0, 0, -1, 3}, {1, 0, 0, 0.6 * i}, {0, -1, 0, 0}};
+            memcpy(frames[i].camera.world_from_camera, poses, sizeof poses);
+        }
+        as.frames = frames;
+        as.frame_count = 2;
+        as.bounds.source = RN_BOUNDS_GIVEN;
+        memset(as.bounds.centre, 0, sizeof as.bounds.centre);
+        as.points = (struct rn_points){.items = points,
+                                       .count = POINTS,
+                                       .sightings = sightings,
+                                       .sighting_count = 2 * (POINTS - 1) + 2 * (size_t)known};
+        struct rn_trainer *trainer = trainer_for(engine, &as, &config);
+        struct rn_camera before = frames[0].camera; // of the way's middle
+        before.world_from_camera[1][3] = 0.3;
+        before.world_from_camera[2][3] = 0.4;
+        before.world_from_camera[0][3] = 3 - 1.3;
+        ck_assert_float_eq(begins_at(trainer, &before, 0), known ? 0 : RN_NEVER_SEEN);
+        before.world_from_camera[0][3] = 3 - 1.7;
+        ck_assert_float_eq(begins_at(trainer, &before, 0), RN_NEVER_SEEN);
+        rn_trainer_destroy(&trainer);
+        rn_engine_destroy(&engine);
+    }
+}
+END_TEST
+
 // All of space in the field's ball, asked for: cells, bent rays and what draws them together are in
 // the checkpoint.
 START_TEST(unbounded_space_resumes) {
@@ -590,6 +634,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, draws_by_error_resume);
     tcase_add_test(tests, what_points_are_seen_through_begins_empty);
     tcase_add_test(tests, what_neighbours_see_through_begins_empty);
+    tcase_add_test(tests, what_lies_by_cameras_begins_empty);
     tcase_add_test(tests, unbounded_space_resumes);
     tcase_add_test(tests, photographs_call_for_their_space);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);

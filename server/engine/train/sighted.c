@@ -1,11 +1,14 @@
 // What sparse points say of unbounded space before training: a photograph that saw a point saw
 // through all that lies between, and what photographs beside each other both saw, a camera between
-// them would see too. Cells that several such lines cross, and near which no point lies, begin
+// them would see too. Cells that several such lines cross, cells that lie about cameras and the
+// ways between them, far nearer than anything these saw, and near none of which a point lies, begin
 // empty, so that rays skip them from the first step on and no haze settles there: bare walls and
 // floors look the same from wherever it hangs, and it hides things from places between the cameras.
 #include <math.h>
 #include <stdlib.h>
 
+#include "common/math/nearest.h"
+#include "common/math/numbers.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/space.h"
 #include "server/engine/train/trainer.h"
@@ -19,6 +22,11 @@
 #define NEIGHBOURS 4 // photographs of the same point that are nearest to one,
 #define WIDE 1.0     // but no farther from it than this times the point is
 #define BETWEEN 5    // places on the way there, from which the point would be seen
+
+#define FELLOWS 8  // cameras nearest to one, to which the way is free,
+#define CLEAR 0.5  // and all about it that is no farther than this times what they saw nearest:
+#define NEAREST 20 // the so-manyth part of a photograph's points are nearer: wrong matches
+#define ENOUGH 20  // points without which a photograph says nothing of that
 
 struct lines {
     const struct rn_trainer *trainer;
@@ -129,40 +137,148 @@ static double square_apart(const double a[3], const double b[3]) {
     return squares;
 }
 
-// The NEIGHBOURS nearest cameras of `count` that saw the same point; how many there are.
-static int find_neighbours(const struct view *views, size_t count, const struct view *of,
-                           const double point[3], const struct view *ret[NEIGHBOURS]) {
-    double squares[NEIGHBOURS], most = WIDE * WIDE * square_apart(of->camera, point);
-    int found = 0;
-    for (size_t i = 0; i < count; i++) {
-        double square = square_apart(views[i].camera, of->camera);
-        if (!(square > 0 && square <= most)) continue;
-        if (found == NEIGHBOURS && square >= squares[found - 1]) continue;
-        int at = found < NEIGHBOURS ? found++ : found - 1;
-        for (; at > 0 && squares[at - 1] > square; at--) {
-            squares[at] = squares[at - 1];
-            ret[at] = ret[at - 1];
-        }
-        squares[at] = square;
-        ret[at] = &views[i];
-    }
-    return found;
-}
-
-// From places on the way from each camera to its neighbours. Not of a point that few photographs
-// saw: it may be a wrong match.
+// From places on the way from each camera to the NEIGHBOURS nearest that saw the same point. Not of
+// a point that few photographs saw: it may be a wrong match.
 static void follow_between(const struct lines *lines, const struct view *views, size_t count,
                            const double point[3]) {
     for (size_t i = 0; i < count && count >= CROSSED; i++) {
-        const struct view *neighbours[NEIGHBOURS];
-        int found = find_neighbours(views, count, &views[i], point, neighbours);
-        for (int n = 0; n < found * BETWEEN; n++) {
+        double most = WIDE * WIDE * square_apart(views[i].camera, point);
+        struct rn_nearest nearest = {.most = NEIGHBOURS};
+        for (size_t k = 0; k < count; k++) {
+            double square = square_apart(views[k].camera, views[i].camera);
+            if (square > 0 && square <= most) rn_nearest_offer(&nearest, square, k);
+        }
+        for (int n = 0; n < nearest.count * BETWEEN; n++) {
+            const double *other = views[nearest.which[n / BETWEEN]].camera;
             double there[3], share = (n % BETWEEN + 1.0) / (BETWEEN + 1);
             for (int k = 0; k < 3; k++)
-                there[k] = views[i].camera[k] +
-                           share * (neighbours[n / BETWEEN]->camera[k] - views[i].camera[k]);
+                there[k] = views[i].camera[k] + share * (other[k] - views[i].camera[k]);
             follow(lines, there, point);
         }
+    }
+}
+
+// ---- where cameras stand --------------------------------------------------------------------
+
+struct way {
+    double along[3]; // from the camera to a fellow; dataset units
+    double clear;    // about it
+};
+
+// A camera whose photograph is trained on, and the ways from it.
+struct stand {
+    double place[3], nearest; // of what it saw; NAN where too little is known
+    double reach;             // beyond which no way's surroundings lie
+    int way_count;
+    struct way ways[1 + FELLOWS]; // that to itself first
+};
+
+struct stands {
+    const struct lines *lines;
+    struct stand *items;
+    size_t count;
+};
+
+// Of a photograph: its camera and how far from it the nearest of its points are. `distances` has
+// room for `count` numbers.
+static struct stand stand_of(const struct lines *lines, const struct rn_camera *camera,
+                             uint32_t photo, const struct view *views, size_t count,
+                             double *distances) {
+    const struct rn_point *points = lines->trainer->dataset->points.items;
+    struct stand stand = {.nearest = NAN};
+    size_t seen = 0;
+    for (int k = 0; k < 3; k++)
+        stand.place[k] = camera->world_from_camera[k][3];
+    for (size_t i = 0; i < count; i++)
+        if (views[i].photo == photo)
+            distances[seen++] = square_apart(stand.place, points[views[i].point].position);
+    if (seen >= ENOUGH) stand.nearest = sqrt(rn_numbers_quantile(distances, seen, NEAREST));
+    return stand;
+}
+
+// The ways to itself and to the FELLOWS nearest others that are no farther than what it saw
+// nearest.
+static void find_ways(const struct stands *stands, struct stand *from) {
+    struct rn_nearest nearest = {.most = 1 + FELLOWS};
+    for (size_t i = 0; i < stands->count; i++) {
+        double square = square_apart(from->place, stands->items[i].place);
+        if (square <= from->nearest * from->nearest && stands->items[i].nearest > 0)
+            rn_nearest_offer(&nearest, square, i);
+    }
+    from->way_count = nearest.count;
+    for (int i = 0; i < nearest.count; i++) {
+        const struct stand *to = &stands->items[nearest.which[i]];
+        from->ways[i].clear = CLEAR * fmin(from->nearest, to->nearest);
+        from->reach = fmax(from->reach, sqrt(nearest.apart[i]) + from->ways[i].clear);
+        for (int k = 0; k < 3; k++)
+            from->ways[i].along[k] = to->place[k] - from->place[k];
+    }
+}
+
+// All photographs' that are trained on; items malloc'd, NULL without memory.
+static struct stands list_stands(const struct lines *lines, const struct view *views,
+                                 size_t count) {
+    size_t photos;
+    const struct rn_camera **cameras = list_cameras(lines->trainer, &photos);
+    double *distances = malloc((count + 1) * sizeof *distances);
+    struct stands stands = {.lines = lines, .items = calloc(photos + 1, sizeof *stands.items)};
+    for (size_t i = 0; cameras && distances && stands.items && i < photos; i++)
+        if (cameras[i])
+            stands.items[stands.count++] =
+                stand_of(lines, cameras[i], (uint32_t)i, views, count, distances);
+    for (size_t i = 0; i < stands.count; i++)
+        find_ways(&stands, &stands.items[i]);
+    free(cameras);
+    free(distances);
+    return stands;
+}
+
+static bool lies_by(const struct stand *stand, const double point[3]) {
+    double to[3], squares = 0;
+    for (int k = 0; k < 3; k++) {
+        to[k] = point[k] - stand->place[k];
+        squares += to[k] * to[k];
+    }
+    if (squares > stand->reach * stand->reach) return false;
+    for (int i = 0; i < stand->way_count; i++) {
+        const struct way *way = &stand->ways[i];
+        double length = 0, dot = 0, apart = 0;
+        for (int k = 0; k < 3; k++) {
+            length += way->along[k] * way->along[k];
+            dot += way->along[k] * to[k];
+        }
+        double share = dot > 0 ? fmin(dot / length, 1) : 0;
+        for (int k = 0; k < 3; k++)
+            apart += (to[k] - share * way->along[k]) * (to[k] - share * way->along[k]);
+        if (apart <= way->clear * way->clear) return true;
+    }
+    return false;
+}
+
+// Of a layer of cells, those whose middles lie by a way.
+static void clear_layer(void *context, int layer, int thread) {
+    (void)thread;
+    const struct stands *stands = context;
+    const struct rn_bounds *bounds = &stands->lines->trainer->field->bounds;
+    int side = stands->lines->cells;
+    size_t first = (size_t)layer * (size_t)side * (size_t)side;
+    for (size_t i = first; i < first + (size_t)side * (size_t)side; i++) {
+        int cell[3];
+        double at[3], squares = 0;
+        rn_cell_at(i, side, cell);
+        for (int k = 0; k < 3; k++) {
+            at[k] = (2 * cell[k] + 1.0) / side - 1;
+            squares += at[k] * at[k];
+        }
+        if (stands->lines->crossed[i] == KEPT || !(squares < 1)) continue;
+        double scale = (double)rn_uncontracted((rn_real)sqrt(squares)) / sqrt(squares);
+        for (int k = 0; k < 3; k++)
+            at[k] = bounds->centre[k] + bounds->radius * scale * at[k];
+        for (size_t s = 0; s < stands->count; s++)
+            if (lies_by(&stands->items[s], at)) {
+                stands->lines->crossed[i] = CROSSED;
+                break;
+            }
     }
 }
 
@@ -183,6 +299,9 @@ void rn_trainer_carve_sighted(struct rn_trainer *t) {
             follow(&lines, views[end].camera, point);
         follow_between(&lines, views + first, end - first, point);
     }
+    struct stands stands = list_stands(&lines, views, count);
+    if (stands.items) rn_pool_run(t->engine->pool, (int)side, clear_layer, &stands);
+    free(stands.items);
     for (size_t i = 0; i < cells && count > 0; i++)
         if (lines.crossed[i] >= CROSSED && lines.crossed[i] != KEPT) t->field->occupancy[i] = 0;
     free(lines.crossed);

@@ -2,6 +2,7 @@
 #include <math.h>
 
 #include "common/math/around.h"
+#include "common/math/nearest.h"
 #include "common/math/numbers.h"
 #include "common/math/vector.h"
 #include "tests/support/suite.h"
@@ -44,12 +45,27 @@ START_TEST(arcs) {
 }
 END_TEST
 
+// Three of seven, of which two are equally near and one is NaN; and of fewer than three.
+START_TEST(nearest) {
+    const double apart[] = {4, NAN, 2, 7, 2, 1, 3};
+    struct rn_nearest kept = {.most = 3};
+    for (size_t i = 0; i < 7; i++) {
+        rn_nearest_offer(&kept, apart[i], i);
+        if (i == 2) ck_assert(kept.count == 2 && kept.which[0] == 2 && kept.which[1] == 0);
+    }
+    ck_assert_int_eq(kept.count, 3);
+    ck_assert(kept.which[0] == 5 && kept.which[1] == 2 && kept.which[2] == 4);
+    ck_assert(kept.apart[0] == 1 && kept.apart[1] == 2 && kept.apart[2] == 2);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("numbers");
     TCase *all = tcase_create("all");
     tcase_add_test(all, quantiles);
     tcase_add_test(all, axes_complete_up);
     tcase_add_test(all, arcs);
+    tcase_add_test(all, nearest);
     suite_add_tcase(suite, all);
     return run_suite(suite);
 }
