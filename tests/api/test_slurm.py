@@ -140,7 +140,8 @@ def test_secrets_are_not_shown(on_slurm, slurm, build, tmp_path):
     assert [len(secret) for secret in secrets] == [64, 64]
     shown = slurm.run("scontrol", "--details", "show", "job", number)
     shown += slurm.run("scontrol", "write", "batch_script", number, "-")
-    waiting = wait_for(lambda: (record := daemon.job(job))["runner"]["reason"] == "JobHeldUser" and record)
+    waiting = wait_for(lambda: (record := daemon.job(job)).get("runner", {}).get("reason") == "JobHeldUser"
+                       and record)
     assert waiting["state"] == "queued" and waiting["runner"]["slurm_job"] == str(number)
     client = Client(build / "client" / "ripnerf", tmp_path, f"http://{daemon.host}:{daemon.port}")
     told = [line for line in client.run("jobs").stdout.splitlines() if job in line]

@@ -42,7 +42,7 @@ def test_sbatch_is_told_all_that_was_asked_for(make_daemon, photographs, tmp_pat
                 "--cpus-per-task=3", "--signal=B:TERM@60", *flags}
     assert expected < set(words) and any(word.startswith("--job-name=ripnerf-sc_") for word in words)
     assert words[-1].endswith("/script") and os.path.isabs(words[-1])
-    wait_for(lambda: daemon.job(job)["runner"]["reason"] == "Priority")
+    wait_for(lambda: daemon.job(job).get("runner", {}).get("reason") == "Priority")
     daemon.post(f"/v1/jobs/{job}/cancel")
     assert daemon.wait(job)["state"] == "cancelled"
 

@@ -35,7 +35,7 @@ def test_several_trainings_are_drawn_over_each_other(page, fake):
     page.press("Beside other trainings")
     lines = "return [...document.querySelectorAll('.chart .other')].map((l) => l.getAttribute('class'));"
     assert page.run(lines) == []
-    for label in page.all(".rivals label"):
+    for label in page.until(lambda: len(found := page.all(".rivals label")) == 2 and found, "both names"):
         label.click()
     page.until(lambda: page.run(lines) == ["line other other-0", "line other other-1"], "two curves")
     # the axis reaches as far as the longest of them

@@ -223,9 +223,10 @@ def test_a_few_photographs_come_before_training_on_a_phone(page, fake):
     phone(page, 390)
     page.open(api.url + "#/dataset/sphere")
     page.find("#train")
-    assert len(page.all(".photos figure")) == 6 < count
+    assert count > 6
+    page.until(lambda: len(page.all(".photos figure")) == 6, "six photographs")
     page.press(f"Show all {count}")
-    assert len(page.all(".photos figure")) == count
+    page.until(lambda: len(page.all(".photos figure")) == count, "all of them")
 
 
 @pytest.mark.parametrize("width", [320, 390])
