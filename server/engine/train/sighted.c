@@ -18,6 +18,7 @@
 #define KEPT 255   // stands for them where lines are counted
 #define PLACES 128 // that are looked at along a line
 #define MOST 50000 // sightings that are followed, of points evenly among all
+#define SLICES 64  // of these, that threads follow
 
 #define NEIGHBOURS 4 // photographs of the same point that are nearest to one,
 #define WIDE 1.0     // but no farther from it than this times the point is
@@ -32,6 +33,8 @@ struct lines {
     const struct rn_trainer *trainer;
     int cells;
     uint8_t *crossed; // by how many lines, of each cell, or KEPT
+    const struct view *views;
+    size_t count;
 };
 
 // Where a point (dataset units) is drawn to in the cells' cube.
@@ -64,6 +67,12 @@ static void keep_around(const struct lines *lines, const double at[3]) {
     }
 }
 
+// Counts to CROSSED, and perhaps a line of each other thread's more.
+static void cross(uint8_t *crossed) {
+    if (__atomic_load_n(crossed, __ATOMIC_RELAXED) < CROSSED)
+        __atomic_fetch_add(crossed, 1, __ATOMIC_RELAXED);
+}
+
 static void follow(const struct lines *lines, const double camera[3], const double point[3]) {
     double end[3], reach = 2.0 * (NEAR + 1) / lines->cells;
     size_t last = SIZE_MAX;
@@ -78,7 +87,7 @@ static void follow(const struct lines *lines, const double camera[3], const doub
             squares += (at[i] - end[i]) * (at[i] - end[i]);
         size_t cell = cell_of(lines, at);
         if (squares < reach * reach) return;
-        if (cell != last && lines->crossed[cell] < KEPT - 1) lines->crossed[cell]++;
+        if (cell != last) cross(&lines->crossed[cell]);
         last = cell;
     }
 }
@@ -158,6 +167,27 @@ static void follow_between(const struct lines *lines, const struct view *views, 
     }
 }
 
+static size_t slice_begin(const struct lines *lines, int slice) {
+    size_t i = lines->count * (size_t)slice / SLICES;
+    while (i > 0 && i < lines->count && lines->views[i].point == lines->views[i - 1].point)
+        i++;
+    return i;
+}
+
+// Of a slice of the points.
+static void follow_slice(void *context, int slice, int thread) {
+    (void)thread;
+    const struct lines *lines = context;
+    const struct view *views = lines->views;
+    size_t stop = slice_begin(lines, slice + 1);
+    for (size_t first = slice_begin(lines, slice), end; first < stop; first = end) {
+        const double *point = lines->trainer->dataset->points.items[views[first].point].position;
+        for (end = first; end < stop && views[end].point == views[first].point; end++)
+            follow(lines, views[end].camera, point);
+        follow_between(lines, views + first, end - first, point);
+    }
+}
+
 // ---- where cameras stand --------------------------------------------------------------------
 
 struct way {
@@ -180,18 +210,17 @@ struct stands {
 };
 
 // Of a photograph: its camera and how far from it the nearest of its points are. `distances` has
-// room for `count` numbers.
+// room for one of each view.
 static struct stand stand_of(const struct lines *lines, const struct rn_camera *camera,
-                             uint32_t photo, const struct view *views, size_t count,
-                             double *distances) {
+                             uint32_t photo, double *distances) {
     const struct rn_point *points = lines->trainer->dataset->points.items;
     struct stand stand = {.nearest = NAN};
     size_t seen = 0;
     for (int k = 0; k < 3; k++)
         stand.place[k] = camera->world_from_camera[k][3];
-    for (size_t i = 0; i < count; i++)
-        if (views[i].photo == photo)
-            distances[seen++] = square_apart(stand.place, points[views[i].point].position);
+    for (const struct view *view = lines->views; view < lines->views + lines->count; view++)
+        if (view->photo == photo)
+            distances[seen++] = square_apart(stand.place, points[view->point].position);
     if (seen >= ENOUGH) stand.nearest = sqrt(rn_numbers_quantile(distances, seen, NEAREST));
     return stand;
 }
@@ -216,16 +245,14 @@ static void find_ways(const struct stands *stands, struct stand *from) {
 }
 
 // All photographs' that are trained on; items malloc'd, NULL without memory.
-static struct stands list_stands(const struct lines *lines, const struct view *views,
-                                 size_t count) {
+static struct stands list_stands(const struct lines *lines) {
     size_t photos;
     const struct rn_camera **cameras = list_cameras(lines->trainer, &photos);
-    double *distances = malloc((count + 1) * sizeof *distances);
+    double *distances = malloc((lines->count + 1) * sizeof *distances);
     struct stands stands = {.lines = lines, .items = calloc(photos + 1, sizeof *stands.items)};
     for (size_t i = 0; cameras && distances && stands.items && i < photos; i++)
         if (cameras[i])
-            stands.items[stands.count++] =
-                stand_of(lines, cameras[i], (uint32_t)i, views, count, distances);
+            stands.items[stands.count++] = stand_of(lines, cameras[i], (uint32_t)i, distances);
     for (size_t i = 0; i < stands.count; i++)
         find_ways(&stands, &stands.items[i]);
     free(cameras);
@@ -286,20 +313,17 @@ void rn_trainer_carve_sighted(struct rn_trainer *t) {
     const struct rn_points *points = &t->dataset->points;
     size_t side = (size_t)t->field->config.field.occupancy, cells = side * side * side, count = 0;
     if (points->sighting_count == 0) return;
-    struct lines lines = {t, (int)side, calloc(cells, 1)};
+    struct lines lines = {.trainer = t, .cells = (int)side, .crossed = calloc(cells, 1)};
     struct view *views = lines.crossed ? list_views(t, &count) : NULL; // else nothing is carved
     for (size_t i = 0; views && i < points->count; i++) { // of those whose lines are left out too
         double at[3];
         contract(t->field, points->items[i].position, at);
         keep_around(&lines, at);
     }
-    for (size_t first = 0, end; first < count; first = end) {
-        const double *point = points->items[views[first].point].position;
-        for (end = first; end < count && views[end].point == views[first].point; end++)
-            follow(&lines, views[end].camera, point);
-        follow_between(&lines, views + first, end - first, point);
-    }
-    struct stands stands = list_stands(&lines, views, count);
+    lines.views = views;
+    lines.count = count;
+    rn_pool_run(t->engine->pool, SLICES, follow_slice, &lines);
+    struct stands stands = list_stands(&lines);
     if (stands.items) rn_pool_run(t->engine->pool, (int)side, clear_layer, &stands);
     free(stands.items);
     for (size_t i = 0; i < cells && count > 0; i++)
