@@ -146,12 +146,14 @@ static enum rn_exit stand_of_dataset(struct rn_client *client, const struct rn_s
     enum rn_exit code =
         rn_api_get(client, "datasets", scene->dataset, "", &rn_dataset_table, &dataset);
     if (code != RN_EXIT_OK) return code;
+    double up[3];
+    memcpy(up, dataset.up, sizeof up);
     rn_message_finish(&rn_dataset_table, &dataset);
     code =
         rn_api_get(client, "datasets", scene->dataset, "/cameras", &rn_camera_list_table, &cameras);
     if (code != RN_EXIT_OK) return code;
     if (cameras.item_count) {
-        find_stand(&cameras, dataset.up, centre, ret);
+        find_stand(&cameras, up, centre, ret);
         code = find_cover(&cameras, centre, ret);
     } else {
         code = rn_client_usage(scene->name, "has a dataset without cameras");

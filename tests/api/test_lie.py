@@ -52,6 +52,16 @@ def test_it_is_asked_for(client):
     assert dataset["bounds"]["radius"] == 3
 
 
+def test_a_turntable_turns_about_what_is_up(client, tmp_path):
+    """Not about the cameras' own upward directions, which are those of z."""
+    client.run("import", "near", "--name", "lain", "--up", "-y")
+    client.run("train", "lain", "--name", "lain", "--preset", "draft", "--max-steps", 1, "--wait")
+    client.run("turntable", "lain", "--whole", "-o", tmp_path / "turn.json")
+    keys = json.loads((tmp_path / "turn.json").read_text())["path"]["keys"]
+    x, y, z = ([key["world_from_camera"][axis][3] for key in keys] for axis in range(3))
+    assert max(y) - min(y) < 1e-6 and max(x) - min(x) > 1 and max(z) - min(z) > 1
+
+
 @pytest.mark.parametrize("option, value", [("--up", "0,0,0"), ("--up", "w"), ("--up", "1,2"),
                                            ("--crop", "1,1,1,0,2,2"), ("--crop", "0,0,0,1"),
                                            ("--bounds", "0,0,0,-1")])
