@@ -30,6 +30,21 @@ def test_ready_made_paths_are_ones_that_the_daemon_takes(scene, name, keys):
     scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
 
 
+def test_a_turn_goes_no_farther_than_the_photographs(page, fake):
+    """Of a capture from one side: over what it shows and back, and the daemon takes that path."""
+    api = fake("busy")
+    every = api.world.cameras()
+    api.world.cameras = lambda: [view for view in every if view["split"] != "train" or view["index"] < 7]
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Swing")
+    page.until(lambda: len(page.all(".key")) == 16, "sixteen keys")
+    yaws = [math.degrees(math.atan2(*(key["pose"][axis][3] for axis in (1, 0)))) for key in page.path()["keys"]]
+    assert min(yaws) == pytest.approx(0, abs=0.1) and max(yaws) == pytest.approx(90, abs=0.1)  # 6 of 24 steps
+    assert max(abs(b - a) for a, b in zip(yaws, yaws[1:] + yaws[:1])) < 20
+    page.press("Render the path")
+    page.says("Camera path sphere-draft", "h1")
+
+
 def test_undo_and_redo_take_back_every_change(scene):
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")

@@ -296,6 +296,7 @@ def test_faults_are_shown_at_their_fields(page, fake):
     page.type(page.field("Scene’s name"), "another")
     page.press("More")
     page.type(page.field("Seed"), 2**53 + 2)
+    page.press("More")  # folded: the fault unfolds it
     page.press("Start training")
     page.says("maximum of 9007199254740991", ".faulty .note")
 

@@ -24,6 +24,13 @@ function outward({yaw, pitch, up}) {
   return add(scale(flat, Math.cos(pitch)), scale(up, Math.sin(pitch)));
 }
 
+/** Where about the target a place lies, radians. @param {Orbit} orbit */
+export function yawOfPlace({target, up}, place) {
+  const [a, b] = ground(up);
+  const out = sub(place, target);
+  return Math.atan2(dot(out, b), dot(out, a));
+}
+
 /** world-from-camera, 3x4, OpenCV axes. @param {Orbit} orbit */
 export function poseOfOrbit(orbit) {
   const out = outward(orbit);

@@ -12,7 +12,7 @@ import {
   sub
 } from './vector.js';
 import {blendOptics, opticsOf, problemOfOptics} from './optics.js';
-import {dolly, poseOfOrbit, turn} from './orbit.js';
+import {dolly, poseOfOrbit, turn, yawOfPlace} from './orbit.js';
 
 /**
  * @typedef {{id: string, time: number, pose: number[][], fovDeg: number, optics?: any, picture?:
@@ -162,6 +162,39 @@ export function turnTable(path, orbit, count, seconds) {
 
 // ---- ready-made paths ----
 
+const LARGEST_GAP = Math.PI / 2;  // between photographs, that a whole turn flies over
+const LEAST_ARC = 0.02;           // less is no way to swing on
+
+/**
+ * Where about the orbit's target the photographs were taken: the first yaw and how far the others go, radians; null
+ * where that is all around, or one place.
+ */
+export function photographedArc(orbit, cameras) {
+  const yaws = cameras.map(({pose}) => yawOfPlace(orbit, column(pose, 3))).sort((a, b) => a - b);
+  let gap = 0;
+  let first = 0;
+  yaws.forEach((yaw, i) => {
+    const next = yaws[i + 1] ?? yaws[0] + 2 * Math.PI;
+    if (next - yaw > gap) [gap, first] = [next - yaw, next];
+  });
+  const arc = 2 * Math.PI - gap;
+  return gap <= LARGEST_GAP || arc < LEAST_ARC ? null : {first, arc};
+}
+
+/** To the end of what was photographed and back, slowest where it turns; all around where that was. */
+function swing(path, orbit, cameras) {
+  const seen = photographedArc(orbit, cameras);
+  if (!seen) return turnTable(path, orbit, 8, 6);
+  const at = (part) => ({...orbit, yaw: seen.first + seen.arc * 0.5 * (1 - Math.cos(2 * Math.PI * part))});
+  const count = 16;
+  return {
+    ...path,
+    loop: true,
+    interpolation: 'circle',
+    keys: orbitKeys(Array.from({length: count}, (_, i) => at(i / count)), 6 - 6 / count)
+  };
+}
+
 const keysOf = (cameras, seconds) =>
     cameras.map(({pose, fovDeg}, i) => ({
                   id: newId(),
@@ -175,6 +208,7 @@ const sweep = (count, make) => Array.from({length: count}, (_, i) => make(i / (c
 
 /** What can be made out of where one stands: name, words, and the path. */
 export const PREFABS = [
+  ['swing', 'Swing over the photographs', swing],
   ['orbit', 'Whole turn', (path, orbit) => turnTable(path, orbit, 8, 6)],
   [
     'arc', 'Arc', (path, orbit) => ({

@@ -117,6 +117,8 @@ function setFault(node, control, note, why, hint) {
   node.classList.toggle('faulty', Boolean(why));
   if (control?.setAttribute) control.setAttribute('aria-invalid', String(Boolean(why)));
   text(note, why ?? hint ?? '');
+  const folded = why && node.closest('details');
+  if (folded) folded.open = true;
 }
 
 const plainPointer = (pointer) => pointer.replace(/^#/, '');

@@ -59,12 +59,7 @@ export function homeView(root, {signal}) {
       if (datasetBox.firstChild !== table) fill(datasetBox, table);
       follow(tableBody, state.datasets, (set) => set.id, datasetRow);
     } else
-      fill(
-          datasetBox,
-          empty(
-              'No datasets',
-              may('train') ? h('p', null, 'What you add shows here, with its views and sizes.') :
-                             null));
+      fill(datasetBox, empty('No datasets'));
   }, signal);
 }
 

@@ -13,6 +13,7 @@ import {
   insertKey,
   moveKey,
   pathOfDocument,
+  photographedArc,
   PREFABS,
   problemOf,
   removeKey,
@@ -286,10 +287,12 @@ export function createKeys(scene, size, view, signal) {
   };
   const make = (name) => {
     const [, , build] = PREFABS.find(([key]) => key === name);
-    set(build ? build(path, view.orbit) : throughCameras(path, view.cameras));
+    set(build ? build(path, view.orbit, view.cameras) : throughCameras(path, view.cameras));
     form.show(path);
     pictures();
   };
+  const swings = photographedArc(view.orbit, view.cameras);  // a whole turn would show what nobody photographed
+  const offered = ([name]) => name === 'photographs' ? view.cameras.length > 1 : name !== 'swing' || swings;
   const ready =
       h('select', {
         'aria-label': 'Ready-made paths',
@@ -304,8 +307,7 @@ export function createKeys(scene, size, view, signal) {
         }
       },
         h('option', {value: ''}, 'Ready-made…'),
-        PREFABS.filter(([name]) => name !== 'photographs' || view.cameras.length > 1)
-            .map(([value, label]) => h('option', {value}, label)));
+        PREFABS.filter(offered).map(([value, label]) => h('option', {value}, label)));
   const clear =
       h('button', {
         type: 'button',
@@ -320,8 +322,8 @@ export function createKeys(scene, size, view, signal) {
         'data-order': 1,
         tools:
             h('div', {class: 'row wrap'}, undo, redo, ready,
-              h('button', {type: 'button', class: 'small', onclick: () => make('orbit')},
-                'Whole turn'),
+              h('button', {type: 'button', class: 'small', onclick: () => make(swings ? 'swing' : 'orbit')},
+                swings ? 'Swing' : 'Whole turn'),
               clear)
       },
       box, numbers.node, words, form.node, quality.node, problem,

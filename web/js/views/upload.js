@@ -73,9 +73,8 @@ function chooser(take) {
   return h(
       'div', {class: 'drop'}, h('p', {class: 'drop-title'}, 'Drop a dataset’s folder here'),
       h('p', {class: 'quiet'},
-        'Photographs with their cameras, as COLMAP, nerfstudio, Blender and others leave them; ' +
-            'photographs or a film alone, where the daemon has COLMAP to find the cameras; an ' +
-            'archive of either (.zip, .tar, .tar.gz); a scene that was exported (.ripscene). ',
+        'Photographs with their cameras, from COLMAP, nerfstudio, Blender and others; ' +
+            'photographs or a film alone, where the daemon has COLMAP; an archive of these; a .ripscene. ',
         h('a', {href: 'web/guide/index.html#datasets'}, 'What is read')),
       h('div', {class: 'row wrap'},
         choose('folder-input', 'Choose a folder', {webkitdirectory: true, multiple: true}),
