@@ -83,7 +83,8 @@ class Job:
         return self.wanted
 
     def play(self, steps, succeed):
-        self.move("running", started_at=NOW)
+        if self.record["state"] == "queued":  # it was not paused first
+            self.move("running", started_at=NOW)
         for event, data in steps:
             if event == "progress":
                 self.record["progress"] = data
