@@ -123,7 +123,7 @@ def train(page, keys, seconds, steps=None):
     if steps:
         keys.type("Steps", steps)
     keys.press("Start training")
-    page.says("succeeded: ", wait_s=600)  # that it trains may be over by the first look
+    page.says("succeeded: ", wait_s=1200)  # that it trains may be over by the first look
 
 
 def look_around(page, keys):
