@@ -24,10 +24,10 @@
 #define WIDE 1.0     // but no farther from it than this times the point is
 #define BETWEEN 5    // places on the way there, from which the point would be seen
 
-#define FELLOWS 8  // cameras nearest to one, to which the way is free,
-#define CLEAR 0.5  // and all about it that is no farther than this times what they saw nearest:
-#define NEAREST 20 // the so-manyth part of a photograph's points are nearer: wrong matches
-#define ENOUGH 20  // points without which a photograph says nothing of that
+#define FELLOWS 8    // cameras nearest to one, to which the way is free,
+#define CLEAR 0.7    // and all about it that is no farther than this times what they saw nearest:
+#define NEAREST 0.05 // such a share of a photograph's points is nearer: wrong matches
+#define ENOUGH 20    // points without which a photograph says nothing of that
 
 struct lines {
     const struct rn_trainer *trainer;
