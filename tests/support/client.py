@@ -17,7 +17,7 @@ class Client:
 
     def run(self, *arguments, code=OK, **environment):
         result = subprocess.run(self.command(*arguments), cwd=self.cwd, text=True,
-                                capture_output=True, timeout=300, check=False,
+                                capture_output=True, timeout=900, check=False,
                                 stdin=subprocess.DEVNULL, env=self.environment | environment)
         assert code is None or result.returncode == code, result.stdout + result.stderr
         return result
