@@ -9,6 +9,7 @@
 
 #include "common/math/nearest.h"
 #include "common/math/numbers.h"
+#include "common/math/vector.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/space.h"
 #include "server/engine/train/trainer.h"
@@ -30,10 +31,12 @@
 #define ENOUGH 20    // points without which a photograph says nothing of that
 
 struct lines {
-    const struct rn_trainer *trainer;
+    struct rn_trainer *trainer;
     int cells;
-    uint8_t *crossed; // by how many lines, of each cell, or KEPT
-    const struct view *views;
+    uint8_t *crossed;                 // by how many lines, of each cell, or KEPT
+    const struct rn_camera **cameras; // of the photographs that are trained on; NULL for others
+    size_t photos;
+    struct view *views; // point by point
     size_t count;
 };
 
@@ -67,6 +70,13 @@ static void keep_around(const struct lines *lines, const double at[3]) {
     }
 }
 
+static double square_apart(const double a[3], const double b[3]) {
+    double squares = 0;
+    for (int i = 0; i < 3; i++)
+        squares += (a[i] - b[i]) * (a[i] - b[i]);
+    return squares;
+}
+
 // Counts to CROSSED, and perhaps a line of each other thread's more.
 static void cross(uint8_t *crossed) {
     if (__atomic_load_n(crossed, __ATOMIC_RELAXED) < CROSSED)
@@ -78,31 +88,26 @@ static void follow(const struct lines *lines, const double camera[3], const doub
     size_t last = SIZE_MAX;
     contract(lines->trainer->field, point, end);
     for (int place = 0; place < PLACES; place++) {
-        double there[3], at[3], squares = 0;
-        for (int i = 0; i < 3; i++) {
-            there[i] = camera[i] + (point[i] - camera[i]) * place / PLACES;
-        }
-        contract(lines->trainer->field, there, at);
+        double there[3], at[3];
         for (int i = 0; i < 3; i++)
-            squares += (at[i] - end[i]) * (at[i] - end[i]);
+            there[i] = camera[i] + (point[i] - camera[i]) * place / PLACES;
+        contract(lines->trainer->field, there, at);
         size_t cell = cell_of(lines, at);
-        if (squares < reach * reach) return;
+        if (square_apart(at, end) < reach * reach) return;
         if (cell != last) cross(&lines->crossed[cell]);
         last = cell;
     }
 }
 
-// Cameras of the photographs that are trained on, by photograph; malloc'd.
-static const struct rn_camera **list_cameras(const struct rn_trainer *t, size_t *ret_count) {
-    size_t count = 0;
-    for (int f = 0; f < t->train.frame_count; f++)
-        if ((size_t)t->train.frames[f].frame->photo >= count)
-            count = (size_t)t->train.frames[f].frame->photo + 1;
-    const struct rn_camera **cameras = calloc(count + 1, sizeof *cameras);
-    for (int f = 0; cameras && f < t->train.frame_count; f++)
-        cameras[t->train.frames[f].frame->photo] = &t->train.frames[f].camera;
-    *ret_count = count;
-    return cameras;
+// Without memory: NULL.
+static void list_cameras(struct lines *lines) {
+    const struct rn_pixels *train = &lines->trainer->train;
+    for (int f = 0; f < train->frame_count; f++)
+        if ((size_t)train->frames[f].frame->photo >= lines->photos)
+            lines->photos = (size_t)train->frames[f].frame->photo + 1;
+    lines->cameras = calloc(lines->photos + 1, sizeof *lines->cameras);
+    for (int f = 0; lines->cameras && f < train->frame_count; f++)
+        lines->cameras[train->frames[f].frame->photo] = &train->frames[f].camera;
 }
 
 // That the photograph of a camera saw a point.
@@ -117,33 +122,21 @@ static int compare_views(const void *a, const void *b) {
     return (x->photo > y->photo) - (x->photo < y->photo);
 }
 
-// All views of every so-manyth point that photographs trained on saw, point by point; malloc'd,
-// NULL without memory.
-static struct view *list_views(const struct rn_trainer *t, size_t *ret_count) {
-    const struct rn_points *points = &t->dataset->points;
-    size_t photos, count = 0, stride = points->sighting_count / MOST + 1;
-    const struct rn_camera **cameras = list_cameras(t, &photos);
-    struct view *views = malloc(points->sighting_count * sizeof *views);
-    for (size_t i = 0; cameras && views && i < points->sighting_count; i++) {
+// Of every so-manyth point all views by photographs that are trained on. Without memory: NULL.
+static void list_views(struct lines *lines) {
+    const struct rn_points *points = &lines->trainer->dataset->points;
+    size_t stride = points->sighting_count / MOST + 1;
+    struct view *views = lines->views = malloc(points->sighting_count * sizeof *views);
+    for (size_t i = 0; views && i < points->sighting_count; i++) {
         const struct rn_sighting *seen = &points->sightings[i];
-        if (seen->photo >= photos || !cameras[seen->photo] || seen->point % stride) continue;
+        if (seen->photo >= lines->photos || !lines->cameras[seen->photo]) continue;
+        if (seen->point % stride) continue;
         struct view view = {.point = seen->point, .photo = seen->photo};
         for (int k = 0; k < 3; k++)
-            view.camera[k] = cameras[seen->photo]->world_from_camera[k][3];
-        views[count++] = view;
+            view.camera[k] = lines->cameras[seen->photo]->world_from_camera[k][3];
+        views[lines->count++] = view;
     }
-    if (!cameras) free(views), views = NULL;
-    free(cameras);
-    if (views) qsort(views, count, sizeof *views, compare_views);
-    *ret_count = count;
-    return views;
-}
-
-static double square_apart(const double a[3], const double b[3]) {
-    double squares = 0;
-    for (int i = 0; i < 3; i++)
-        squares += (a[i] - b[i]) * (a[i] - b[i]);
-    return squares;
+    if (views) qsort(views, lines->count, sizeof *views, compare_views);
 }
 
 // From places on the way from each camera to the NEIGHBOURS nearest that saw the same point. Not of
@@ -211,13 +204,12 @@ struct stands {
 
 // Of a photograph: its camera and how far from it the nearest of its points are. `distances` has
 // room for one of each view.
-static struct stand stand_of(const struct lines *lines, const struct rn_camera *camera,
-                             uint32_t photo, double *distances) {
+static struct stand stand_of(const struct lines *lines, uint32_t photo, double *distances) {
     const struct rn_point *points = lines->trainer->dataset->points.items;
     struct stand stand = {.nearest = NAN};
     size_t seen = 0;
     for (int k = 0; k < 3; k++)
-        stand.place[k] = camera->world_from_camera[k][3];
+        stand.place[k] = lines->cameras[photo]->world_from_camera[k][3];
     for (const struct view *view = lines->views; view < lines->views + lines->count; view++)
         if (view->photo == photo)
             distances[seen++] = square_apart(stand.place, points[view->point].position);
@@ -246,38 +238,30 @@ static void find_ways(const struct stands *stands, struct stand *from) {
 
 // All photographs' that are trained on; items malloc'd, NULL without memory.
 static struct stands list_stands(const struct lines *lines) {
-    size_t photos;
-    const struct rn_camera **cameras = list_cameras(lines->trainer, &photos);
     double *distances = malloc((lines->count + 1) * sizeof *distances);
-    struct stands stands = {.lines = lines, .items = calloc(photos + 1, sizeof *stands.items)};
-    for (size_t i = 0; cameras && distances && stands.items && i < photos; i++)
-        if (cameras[i])
-            stands.items[stands.count++] = stand_of(lines, cameras[i], (uint32_t)i, distances);
+    struct stands stands = {.lines = lines,
+                            .items = calloc(lines->photos + 1, sizeof *stands.items)};
+    for (size_t i = 0; distances && stands.items && i < lines->photos; i++)
+        if (lines->cameras[i])
+            stands.items[stands.count++] = stand_of(lines, (uint32_t)i, distances);
     for (size_t i = 0; i < stands.count; i++)
         find_ways(&stands, &stands.items[i]);
-    free(cameras);
     free(distances);
     return stands;
 }
 
 static bool lies_by(const struct stand *stand, const double point[3]) {
-    double to[3], squares = 0;
-    for (int k = 0; k < 3; k++) {
+    double to[3];
+    for (int k = 0; k < 3; k++)
         to[k] = point[k] - stand->place[k];
-        squares += to[k] * to[k];
-    }
-    if (squares > stand->reach * stand->reach) return false;
+    if (rn_dot(to, to) > stand->reach * stand->reach) return false;
     for (int i = 0; i < stand->way_count; i++) {
         const struct way *way = &stand->ways[i];
-        double length = 0, dot = 0, apart = 0;
-        for (int k = 0; k < 3; k++) {
-            length += way->along[k] * way->along[k];
-            dot += way->along[k] * to[k];
-        }
-        double share = dot > 0 ? fmin(dot / length, 1) : 0;
+        double dot = rn_dot(way->along, to), passed[3];
+        double share = dot > 0 ? fmin(dot / rn_dot(way->along, way->along), 1) : 0;
         for (int k = 0; k < 3; k++)
-            apart += (to[k] - share * way->along[k]) * (to[k] - share * way->along[k]);
-        if (apart <= way->clear * way->clear) return true;
+            passed[k] = share * way->along[k];
+        if (square_apart(to, passed) <= way->clear * way->clear) return true;
     }
     return false;
 }
@@ -309,25 +293,32 @@ static void clear_layer(void *context, int layer, int thread) {
     }
 }
 
-void rn_trainer_carve_sighted(struct rn_trainer *t) {
+static void carve(struct lines *lines) {
+    struct rn_trainer *t = lines->trainer;
     const struct rn_points *points = &t->dataset->points;
-    size_t side = (size_t)t->field->config.field.occupancy, cells = side * side * side, count = 0;
-    if (points->sighting_count == 0) return;
-    struct lines lines = {.trainer = t, .cells = (int)side, .crossed = calloc(cells, 1)};
-    struct view *views = lines.crossed ? list_views(t, &count) : NULL; // else nothing is carved
-    for (size_t i = 0; views && i < points->count; i++) { // of those whose lines are left out too
+    size_t cells = (size_t)lines->cells * (size_t)lines->cells * (size_t)lines->cells;
+    for (size_t i = 0; i < points->count; i++) { // those too whose lines are left out
         double at[3];
         contract(t->field, points->items[i].position, at);
-        keep_around(&lines, at);
+        keep_around(lines, at);
     }
-    lines.views = views;
-    lines.count = count;
-    rn_pool_run(t->engine->pool, SLICES, follow_slice, &lines);
-    struct stands stands = list_stands(&lines);
-    if (stands.items) rn_pool_run(t->engine->pool, (int)side, clear_layer, &stands);
+    rn_pool_run(t->engine->pool, SLICES, follow_slice, lines);
+    struct stands stands = list_stands(lines);
+    if (stands.items) rn_pool_run(t->engine->pool, lines->cells, clear_layer, &stands);
     free(stands.items);
-    for (size_t i = 0; i < cells && count > 0; i++)
-        if (lines.crossed[i] >= CROSSED && lines.crossed[i] != KEPT) t->field->occupancy[i] = 0;
+    for (size_t i = 0; i < cells; i++)
+        if (lines->crossed[i] >= CROSSED && lines->crossed[i] != KEPT) t->field->occupancy[i] = 0;
+}
+
+void rn_trainer_carve_sighted(struct rn_trainer *t) {
+    size_t side = (size_t)t->field->config.field.occupancy;
+    if (t->dataset->points.sighting_count == 0) return;
+    struct lines lines = {
+        .trainer = t, .cells = (int)side, .crossed = calloc(side * side * side, 1)};
+    list_cameras(&lines);
+    if (lines.cameras) list_views(&lines);
+    if (lines.crossed && lines.views) carve(&lines); // else nothing is carved
     free(lines.crossed);
-    free(views);
+    free(lines.cameras);
+    free(lines.views);
 }
