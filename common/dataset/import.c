@@ -10,6 +10,7 @@
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 #include "common/dataset/survey.h"
+#include "common/dataset/triangulate.h"
 
 #define PNG_LEVEL 1
 
@@ -21,8 +22,9 @@ struct import {
     size_t view_count;
     struct rn_frame *outputs; // view_count * levels, then without those left out
     size_t output_count;
-    struct rn_error *faults;        // of each view; status RN_OK where none
-    struct rn_exposures *exposures; // NULL: there are no points to measure them by
+    struct rn_error *faults;                // of each view; status RN_OK where none
+    struct rn_exposures *exposures;         // NULL: there are no points to measure them by
+    struct rn_triangulation *triangulation; // NULL: not called for
 };
 
 static void scaled_size(const struct rn_frame *view, const struct rn_import_options *options,
@@ -217,6 +219,7 @@ static enum rn_status import_view(void *context, size_t index, struct rn_error *
     }
     if (status) return RN_OK;
     rn_exposures_look(import->exposures, view, &image);
+    rn_triangulation_look(import->triangulation, view, &image);
     int width, height;
     scaled_size(view, import->options, 0, &width, &height);
     if (width != image.width || height != image.height) {
@@ -361,6 +364,37 @@ static enum rn_status conclude(struct import *import, struct rn_dataset *source,
     return write_json(&result, import->target, err);
 }
 
+// What an import has shown of its progress stays: the points are its last part.
+struct last_part {
+    rn_output_progress progress;
+    void *context;
+    size_t views;
+};
+
+static bool go_on(void *context, size_t done, size_t total) {
+    const struct last_part *part = context;
+    (void)done;
+    (void)total;
+    return part->progress(part->context, part->views, part->views);
+}
+
+static enum rn_status triangulate(struct import *import, struct rn_dataset *source,
+                                  struct rn_problems *problems, rn_output_progress progress,
+                                  void *context, struct rn_error *err) {
+    struct last_part part = {progress, context, import->view_count};
+    size_t before = source->points.count;
+    enum rn_status status = rn_triangulation_solve(import->triangulation, import->options->threads,
+                                                   source, progress ? go_on : NULL, &part, err);
+    size_t count = source->points.count - before;
+    if (status || !count) return status;
+    rn_problems_add(problems, RN_SEVERITY_INFO, "points",
+                    "no file says which photographs see which points: %zu were found where "
+                    "photographs look alike, each seen by %.1f of them; what they are seen through "
+                    "begins empty",
+                    count, (double)source->points.sighting_count / (double)count);
+    return RN_OK;
+}
+
 static enum rn_status choose_views(struct import *import, const struct rn_dataset *source,
                                    struct rn_error *err) {
     size_t count = source->frame_count, levels = (size_t)import->levels;
@@ -413,8 +447,10 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
         (status = rn_output_check_new(target, err)) || (status = make_folders(target, err)) ||
         (status = choose_views(&import, source, err)) ||
         (status = rn_exposures_create(source, &import.exposures, err)) ||
+        (status = rn_triangulation_create(source, chosen.test_every, &import.triangulation, err)) ||
         (status = rn_output_run(options->threads, import.view_count, import_view, &import, progress,
-                                context, target, err)))
+                                context, target, err)) ||
+        (status = triangulate(&import, source, problems, progress, context, err)))
         goto done;
     status = conclude(&import, source, name, problems, err);
 done:
@@ -424,5 +460,6 @@ done:
     free(import.views);
     free(import.faults);
     rn_exposures_destroy(&import.exposures);
+    rn_triangulation_destroy(&import.triangulation);
     return status;
 }

@@ -277,7 +277,7 @@ static double degrees_tilted(const struct rn_camera *camera, const double up[3])
     return asin(fmin(1, fabs(rn_dot(level, up)))) * 180 / M_PI;
 }
 
-static bool is_cut_out(const struct rn_dataset *dataset) {
+bool rn_dataset_is_cut_out(const struct rn_dataset *dataset) {
     for (size_t f = 0; f < dataset->frame_count; f++)
         if (!dataset->frames[f].has_alpha) return false;
     return true;
@@ -299,7 +299,7 @@ static void measure(const struct rn_dataset *dataset, struct witnesses *w,
             mean[i] +=
                 dataset->frames[f].camera.world_from_camera[i][2] / (double)dataset->frame_count;
     place->alignment = sqrt(rn_dot(mean, mean));
-    place->cut_out = is_cut_out(dataset);
+    place->cut_out = rn_dataset_is_cut_out(dataset);
     place->by_points = dataset->points.count > 0;
     place->miss = median_of(dataset, place->turned_around, w->work, axis_miss);
     place->distance = median_of(dataset, place->turned_around, w->work, distance_of);

@@ -7,6 +7,7 @@
 
 #include "common/dataset/calls.h"
 #include "common/dataset/exposure.h"
+#include "common/dataset/grey.h"
 #include "common/dataset/reader.h"
 #include "common/math/around.h"
 #include "common/math/nearest.h"
@@ -73,18 +74,6 @@ enum rn_status rn_survey_create(const struct rn_dataset *dataset, struct rn_surv
 
 // ---- one photograph ----
 
-// Mean brightness of the picture's cells, `cell` pixels a side; malloc'd, NULL when memory is out.
-static float *shrink(const struct rn_image *image, int cell, int width, int height) {
-    float *grey = calloc((size_t)width * (size_t)height, sizeof *grey);
-    for (int y = 0; grey && y < height * cell; y++)
-        for (int x = 0; x < width * cell; x++) {
-            const uint8_t *p = image->pixels + 4 * ((size_t)y * (size_t)image->width + (size_t)x);
-            grey[(size_t)(y / cell) * (size_t)width + (size_t)(x / cell)] +=
-                (float)(p[0] + 2 * p[1] + p[2]) * (float)p[3] / (1020.0f * (float)(cell * cell));
-        }
-    return grey;
-}
-
 // Mean squared Laplacian over the variance, so that little contrast is not taken for blur.
 static float sharpness(const float *grey, int width, int height) {
     double sum = 0, squares = 0, bends = 0, count = (double)width * height;
@@ -138,12 +127,10 @@ void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
     if (!survey) return;
     struct look *look = &survey->looks[frame - survey->first];
     look->hidden = hidden;
-    int longest = image->width > image->height ? image->width : image->height;
-    int cell = longest > SIDE ? (longest + SIDE / 2) / SIDE : 1;
-    int width = image->width / cell, height = image->height / cell;
+    int cell, width, height;
     rn_exposures_look(survey->exposures, frame, image);
     take_edge(image, look);
-    float *grey = width && height ? shrink(image, cell, width, height) : NULL;
+    float *grey = rn_grey(image, SIDE, &cell, &width, &height);
     if (!grey) return; // not measured, then
     look->sharpness = sharpness(grey, width, height);
     take_thumb(grey, width, height, look);

@@ -1,0 +1,217 @@
+// Sparse points that an import finds where its source has none, beside a place whose depth is
+// known.
+#include <math.h>
+
+#include "tests/unit/common/dataset_fixture.h"
+
+static struct rn_dataset *kept;
+
+static void finish(void) {
+    rn_dataset_destroy(&kept);
+    teardown();
+}
+
+// `dataset`, imported, read again: `kept`.
+static void keep(const char *name, int test_every, int threads) {
+    struct rn_import_options how = {.scales = 1, .threads = threads, .test_every = test_every};
+    const char *target = in_folder(name);
+    ck_assert_int_eq(rn_mkdirs(target, 0700, &err), RN_OK);
+    ck_assert_int_eq(rn_dataset_import(dataset, "kept", &how, target, &problems, NULL, NULL, &err),
+                     RN_OK);
+    rn_dataset_destroy(&kept);
+    ck_assert_int_eq(rn_dataset_read(target, NULL, &kept, &err), RN_OK);
+}
+
+static const struct rn_synth_options place = {.size = 160, .views = 32, .threads = 4, .samples = 4};
+static char photographs[64]; // of that place, for all tests
+
+static void take_place(void) {
+    strcpy(photographs, "/tmp/ripnerf-test-XXXXXX");
+    ck_assert_ptr_nonnull(mkdtemp(photographs));
+    ck_assert_int_eq(rn_synthesise("place", &place, photographs, NULL, NULL, &err), RN_OK);
+}
+
+static void remove_place(void) {
+    ck_assert_int_eq(rn_remove_tree(photographs, &err), RN_OK);
+}
+
+static void read_place(void) {
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read(photographs, NULL, &dataset, &err), RN_OK);
+}
+
+static void take_others(const char *scene, const struct rn_synth_options *options) {
+    const char *target = in_folder("photographs");
+    ck_assert_int_eq(rn_synthesise(scene, options, target, NULL, NULL, &err), RN_OK);
+    ck_assert_int_eq(rn_dataset_read(target, NULL, &dataset, &err), RN_OK);
+}
+
+static const struct rn_frame *frame_of(const struct rn_sighting *sighting) {
+    for (size_t i = 0; i < kept->frame_count; i++)
+        if ((size_t)kept->frames[i].photo == sighting->photo) return &kept->frames[i];
+    ck_abort_msg("a sighting by photograph %u, which is not there", sighting->photo);
+}
+
+static double distance_of(const struct rn_sighting *sighting) {
+    const struct rn_point *point = &kept->points.items[sighting->point];
+    double squares = 0;
+    for (int i = 0; i < 3; i++) {
+        double d = point->position[i] - frame_of(sighting)->camera.world_from_camera[i][3];
+        squares += d * d;
+    }
+    return sqrt(squares);
+}
+
+// The true distance of what is seen there that is nearest to `distance`: at the pixel or beside it,
+// where a corner is of an edge.
+static double truth_at(const char *scene, const struct rn_sighting *sighting, double distance) {
+    const struct rn_frame *frame = frame_of(sighting);
+    struct rn_camera camera = frame->camera;
+    struct rn_picture depth;
+    double best = HUGE_VAL;
+    camera.cx -= (double)sighting->x * camera.width - 1.5; // three pixels about it
+    camera.cy -= (double)sighting->y * camera.height - 1.5;
+    camera.width = camera.height = 3;
+    ck_assert_int_eq(rn_synth_depth(scene, &camera, &depth, &err), RN_OK);
+    for (int i = 0; i < 9; i++)
+        if (fabs((double)depth.values[i] - distance) < fabs(best - distance))
+            best = (double)depth.values[i];
+    rn_picture_finish(&depth);
+    return best;
+}
+
+// The share of the sightings whose distance is right within a twentieth.
+static double right_share(const char *scene) {
+    const struct rn_points *points = &kept->points;
+    size_t right = 0;
+    for (size_t i = 0; i < points->sighting_count; i++) {
+        double distance = distance_of(&points->sightings[i]);
+        double truth = truth_at(scene, &points->sightings[i], distance);
+        right += fabs(distance / truth - 1) < 0.05;
+    }
+    return (double)right / (double)points->sighting_count;
+}
+
+// By straight cameras, and by ones that bend the picture.
+START_TEST(points_lie_where_the_place_is) {
+    struct rn_synth_options bent = place;
+    bent.lens[0] = -0.1;
+    if (_i)
+        take_others("place", &bent);
+    else
+        read_place();
+    keep("kept", 0, 4);
+    ck_assert_uint_gt(kept->points.count, 1000);
+    ck_assert_uint_gt(kept->points.sighting_count, 4 * kept->points.count);
+    ck_assert_double_gt(right_share("place"), 0.96);
+    ck_assert(problems_tell(RN_SEVERITY_INFO, "were found where photographs look alike"));
+}
+END_TEST
+
+static size_t read_points(const char *name, uint8_t **ret_bytes) {
+    size_t size;
+    ck_assert_int_eq(rn_file_read(in_folder(name), 1 << 24, ret_bytes, &size, &err), RN_OK);
+    return size;
+}
+
+START_TEST(they_are_the_same_for_any_number_of_threads) {
+    uint8_t *one, *three;
+    read_place();
+    keep("one", 0, 1);
+    read_place();
+    keep("three", 0, 3);
+    size_t one_size = read_points("one/points.bin", &one);
+    ck_assert_uint_eq(read_points("three/points.bin", &three), one_size);
+    ck_assert_mem_eq(one, three, one_size);
+    free(one);
+    free(three);
+}
+END_TEST
+
+// Those withheld for tests are not looked at.
+START_TEST(photographs_that_are_trained_on_see_them) {
+    bool sees[64] = {0};
+    read_place();
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        dataset->frames[i].split = RN_SPLIT_TRAIN; // as of a capture without splits
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        dataset->frames[i].index = (int)i;
+    dataset->view_count[RN_SPLIT_TEST] = 0;
+    keep("kept", 4, 4);
+    for (size_t i = 0; i < kept->points.sighting_count; i++)
+        sees[kept->points.sightings[i].photo] = true;
+    ck_assert_int_gt(kept->view_count[RN_SPLIT_TEST], 8);
+    for (size_t i = 0; i < kept->frame_count; i++)
+        ck_assert_int_eq(sees[kept->frames[i].photo], kept->frames[i].split == RN_SPLIT_TRAIN);
+}
+END_TEST
+
+START_TEST(none_are_looked_for_where_they_say_nothing) {
+    static const char *const scenes[] = {"still-life", "window"}; // cut out by alpha; one way
+    struct rn_synth_options few = {.size = 96, .views = 32, .threads = 4, .samples = 1};
+    take_others(scenes[_i], &few);
+    keep("kept", 0, 4);
+    ck_assert_uint_eq(kept->points.count, 0);
+}
+END_TEST
+
+START_TEST(sightings_of_the_source_stay_as_they_are) {
+    struct rn_synth_options few = {
+        .size = 64, .views = 16, .threads = 4, .samples = 1, .capture = true};
+    take_others("place", &few);
+    size_t points = dataset->points.count, sightings = dataset->points.sighting_count;
+    keep("kept", 0, 4);
+    ck_assert_uint_gt(sightings, 0);
+    ck_assert_uint_eq(kept->points.count, points);
+    ck_assert_uint_eq(kept->points.sighting_count, sightings);
+}
+END_TEST
+
+// Of which no file says who saw them: those that are found come after them.
+START_TEST(points_of_the_source_are_kept) {
+    read_place();
+    dataset->points.items = calloc(1, sizeof *dataset->points.items);
+    dataset->points.items[0].position[2] = 7;
+    dataset->points.count = 1;
+    keep("kept", 0, 4);
+    ck_assert_uint_gt(kept->points.count, 1000);
+    ck_assert_double_eq(kept->points.items[0].position[2], 7);
+    for (size_t i = 0; i < kept->points.sighting_count; i++)
+        ck_assert_uint_gt(kept->points.sightings[i].point, 0);
+}
+END_TEST
+
+static int at_the_end; // calls of `once` after all photographs
+
+static bool once(void *context, size_t done, size_t total) {
+    (void)context;
+    return done < total || at_the_end++ == 0;
+}
+
+START_TEST(looking_for_them_can_be_cancelled) {
+    struct rn_import_options how = {.scales = 1, .threads = 1};
+    read_place();
+    ck_assert_int_eq(rn_mkdirs(in_folder("kept"), 0700, &err), RN_OK);
+    ck_assert_int_eq(
+        rn_dataset_import(dataset, "kept", &how, in_folder("kept"), &problems, once, NULL, &err),
+        RN_ERROR_CANCELLED);
+    ck_assert_int_eq(at_the_end, 2);
+}
+END_TEST
+
+int main(void) {
+    Suite *suite = suite_create("triangulate");
+    TCase *c = tcase_create("points");
+    tcase_set_timeout(c, 240);
+    tcase_add_unchecked_fixture(c, take_place, remove_place);
+    tcase_add_checked_fixture(c, setup, finish);
+    tcase_add_loop_test(c, points_lie_where_the_place_is, 0, 2);
+    tcase_add_test(c, they_are_the_same_for_any_number_of_threads);
+    tcase_add_test(c, photographs_that_are_trained_on_see_them);
+    tcase_add_loop_test(c, none_are_looked_for_where_they_say_nothing, 0, 2);
+    tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
+    tcase_add_test(c, points_of_the_source_are_kept);
+    tcase_add_test(c, looking_for_them_can_be_cancelled);
+    suite_add_tcase(suite, c);
+    return run_suite(suite);
+}
