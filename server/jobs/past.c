@@ -12,10 +12,10 @@
 #define MOST_JOBS 64 // that are looked at, the newest
 #define STANDARD 1   // of rn_preset_names
 
-// Ratios of what was to what was expected.
 struct seen {
-    double seconds[MOST_JOBS], memory[MOST_JOBS];
-    size_t trainings, timed, measured;
+    double beside; // seconds from start to end that no training was in, the least; NAN: none yet
+    double memory[MOST_JOBS]; // ratios of what was to what was expected
+    size_t trainings, measured;
 };
 
 static bool is_standard(const struct rn_job_row *train) {
@@ -44,6 +44,9 @@ static double expected_memory(const char *record) {
     return bytes;
 }
 
+// Loading, looks at held-out views and saving are not on the training clock, and do not grow with
+// it: their seconds are added to those of another training, not multiplied. What else the machine
+// did meanwhile made them more, never less. A training that was interrupted tells nothing.
 static void add_time(const struct rn_job_row *train, struct seen *seen) {
     struct rn_train_result result;
     if (train->result == NULL || train->attempt > 1 ||
@@ -51,8 +54,7 @@ static void add_time(const struct rn_job_row *train, struct seen *seen) {
                   NULL))
         return;
     double wall = (double)(train->finished_ms - train->started_ms) * 1e-3;
-    if (wall > 0 && result.train_seconds > 0)
-        seen->seconds[seen->timed++] = wall / result.train_seconds;
+    if (wall > result.train_seconds) seen->beside = fmin(seen->beside, wall - result.train_seconds);
     rn_message_finish(&rn_train_result_table, &result);
 }
 
@@ -75,7 +77,7 @@ enum rn_status rn_control_past(struct rn_control *control, const char *record,
                                        {"state", rn_job_state_names[RN_JOB_SUCCEEDED]}},
                              .limit = MOST_JOBS,
                              .without = "source"};
-    struct seen seen = {.trainings = 0};
+    struct seen seen = {.beside = NAN};
     struct rn_job_row *rows = NULL;
     size_t count = 0;
     void *list = NULL;
@@ -94,7 +96,7 @@ enum rn_status rn_control_past(struct rn_control *control, const char *record,
     if (!seen.trainings) return RN_OK;
     double seconds = rn_settings_find(&rn_train_settings, "max_seconds")->standard;
     ret_past->trainings = (int64_t)seen.trainings;
-    if (seen.timed) ret_past->seconds = seconds * rn_numbers_median(seen.seconds, seen.timed);
+    ret_past->seconds = seconds + seen.beside;
     if (seen.measured)
         ret_past->memory_bytes =
             expected_memory(record) * rn_numbers_median(seen.memory, seen.measured);
