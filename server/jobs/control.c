@@ -142,6 +142,8 @@ static enum rn_status adopt(struct rn_control *control, struct rn_job_row *row,
     if (status != RN_OK) return status;
     rn_task_add(control, task, row);
     task->progressed = true; // the daemon ended, not the runner
+    // Each request has a trace: without one it is a curve of idle.c's.
+    task->automatic = task->row.type == RN_JOB_CURVE && task->row.traceparent[0] == '\0';
     rn_task_announce(control, task);
     bool ending = task->row.type == RN_JOB_LADDER && task->row.state == RN_JOB_CANCELLING;
     if (ending) return RN_OK; // its jobs are still to be ended

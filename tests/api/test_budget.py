@@ -281,3 +281,23 @@ def test_curves_are_measured_in_idle_time(make_daemon, photographs):
     assert daemon.delete("/v1/scenes/other").status == 204
     assert daemon.delete("/v1/scenes/ready").status == 204
     assert daemon.get("/v1/scenes").json["items"] == []
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_a_curve_of_idle_time_makes_way_after_a_restart_too(make_daemon, photographs, end):
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "20"}, curve_after=1)
+    daemon.hold()
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+
+    def curve():
+        return daemon.get("/v1/jobs?type=curve").json["items"][-1]
+    daemon.eventually(lambda: daemon.get("/v1/jobs?type=curve").json["items"]
+                      and curve()["state"] == "running")
+    daemon.stop(end)
+    daemon.start()
+    assert curve()["state"] in ("queued", "running")
+    assert daemon.post("/v1/scenes/ready/curve", {"views": 1}).status == 202
+    assert curve()["state"] in ("cancelling", "cancelled")
+    assert daemon.post("/v1/jobs", {"type": "eval", "scene": "ready"}).status == 202
+    assert daemon.get("/v1/jobs?type=curve").json["items"][0]["state"] in ("queued", "running")
