@@ -59,6 +59,7 @@ def test_a_link_opens_a_scene_and_nothing_else(page, client):
                     ".filter((entry) => entry.name.includes('rnt_')).length;") == 0
     words = page.find("main").text
     assert "Field of view" in words and "Train" not in words and "Record key" not in words
+    assert "R resets." in words and "records a key" not in words
     assert not page.run("return document.getElementById('token-dialog').open;")
     assert page.complaints() == []
     client("token", "revoke", "guest")
@@ -136,6 +137,10 @@ def test_what_a_token_may_not_is_not_offered(page, client):
     open_with(page, client, client("token", "make", "reader", "--scope", "read"), "read-only")
     assert offered(page, places_of(client)) == LOOKING
     open_with(page, client, client("token", "make", "artist", "--scope", "render"), "render only")
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": 360, "height": 700, "deviceScaleFactor": 2, "mobile": True})
+    assert page.run("return document.documentElement.scrollWidth;") == 360
+    page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     words = offered(page, places_of(client))
     assert {"Record key", "Render the path", "Evaluate", "Run the doctor", "Mesh, .ply"} < words
     assert not {"Start training", "Choose a folder", "Train…", "Share", "Delete"} & words

@@ -74,6 +74,25 @@ def test_clear_asks(scene):
     scene.says("No keys yet")
 
 
+def test_another_ready_made_path_asks(scene):
+    scene.press("Whole turn")
+    scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
+    scene.press("Whole turn")
+    scene.says("Replace the keys of this path?", "dialog")
+
+
+def test_a_key_that_is_recorded_is_in_sight_among_many(scene):
+    choose(scene, "photographs")
+    scene.until(lambda: len(scene.all(".key")) == 24, "24 keys")
+    scene.find(".stage").send_keys("k")
+    seen = scene.until(lambda: len(scene.all(".key")) == 25 and scene.run("""
+        const strip = document.querySelector('.keys');
+        const room = strip.getBoundingClientRect();
+        return [...strip.children].map((key) => key.getBoundingClientRect())
+            .map(({left, right}) => left >= room.left - 1 && right <= room.right + 1);"""), "a key more")
+    assert seen[-1] and not seen[0]
+
+
 def test_the_picture_is_in_sight_with_the_timeline(scene):
     """Of a path that is scrubbed or played: in a window of 1000 pixels, and on the whole screen."""
     scene.press("Whole turn")

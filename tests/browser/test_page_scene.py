@@ -86,12 +86,12 @@ def test_a_photograph_is_enlarged(page, fake):
     second = page.until(lambda: page.all(".photo")[1:2], "a second photograph")[0]
     second.send_keys(Keys.ENTER)
     dialog = page.find("dialog.enlarged")
-    page.says("train:1 · 2 of 24", ".enlarged")
+    page.says("train:1 · r_1 · 2 of 24", ".enlarged")
     page.find(".enlarged-frame[data-state=ready]")
     width = "return document.querySelector('.enlarged img').naturalWidth;"
     page.until(lambda: page.run(width) == 200, "the photograph, not the thumbnail")
-    for key, words in ((Keys.ARROW_LEFT, "train:0 · 1 of 24"), (Keys.ARROW_LEFT, "train:23 · 24 of 24"),
-                       (Keys.ARROW_RIGHT, "train:0 · 1 of 24")):
+    for key, words in ((Keys.ARROW_LEFT, "train:0 · r_0 · 1 of 24"), (Keys.ARROW_LEFT, "train:23 · r_23 · 24 of 24"),
+                       (Keys.ARROW_RIGHT, "train:0 · r_0 · 1 of 24")):
         dialog.send_keys(key)
         page.says(words, ".enlarged")
     dialog.send_keys(Keys.ESCAPE)

@@ -257,6 +257,34 @@ def test_effects_are_told_in_their_units(page, fake):
     assert numbers[0][1] == "threshold 0 %" and numbers[3] == ["–", "threshold 2/255"]
 
 
+def test_effects_that_nothing_calls_for_are_folded(page, fake):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.press("1 that the photographs do not call for")
+    page.says("Distortion", ".effects")
+    assert sum("off" in e.text for e in page.all("details .effect")) == 1
+    page.press("1 that the photographs do not call for")
+    shown = [e.text for e in page.all(".effect") if e.text]  # what is folded has none
+    assert len(shown) == len(page.all(".effect")) - 1 and not any("Distortion" in text for text in shown)
+
+
+def test_what_may_be_wrong_with_a_dataset_comes_first(page, fake):
+    """And what else was measured is folded; a photograph that is named there is found by its name."""
+    api = fake("bare")
+    api.world.datasets[0]["report"]["problems"] = [
+        {"severity": severity, "where": "the folder", "text": text} for severity, text in (
+            ("info", "points"), ("warning", "r_0 is blurred"), ("info", "exposures"), ("error", "r_9 is cut off"))]
+    page.open(api.url + "#/dataset/sphere")
+
+    def shown():
+        return [e.text.split()[0] for e in page.all(".problems tbody tr") if e.text]
+    page.says("r_9 is cut off", ".problems")
+    assert shown() == ["error", "warning"]
+    page.press("2 notes")
+    page.until(lambda: shown() == ["error", "warning", "info", "info"], "the notes below")
+    page.find(".photo").click()
+    page.says("train:0 · r_0 · 1 of 24", "dialog")
+
+
 def test_what_effects_bring_is_told(page, fake):
     api = fake("busy")
     gain = {"on": True, "psnr": 27.1, "psnr_without": 26.3, "gain": 0.8, "gain_spread": 0.06,

@@ -61,10 +61,9 @@ function page(dataset, cameras, words, like, signal) {
         about(dataset, words), scenesOf(dataset, signal)));
 }
 
-/** The views by their numbers in the JSON: one that is unusable leaves a gap. */
+/** The views by their numbers in the JSON: one that is unusable leaves a gap. Enlarged, they tell their names. */
 function photographs(dataset, cameras, signal) {
-  const indices = (split) =>
-      cameras.filter((item) => item.split === split && item.scale === 0).map((item) => item.index);
+  const viewsOf = (split) => cameras.filter((item) => item.split === split && item.scale === 0);
   const splits = ['train', 'val', 'test'].filter((split) => dataset.views[split]);
   const pick = choice(
       'Split', splits.map((split) => [split, `${split} ${dataset.views[split]}`]), splits[0]);
@@ -75,8 +74,8 @@ function photographs(dataset, cameras, signal) {
       Math.min(
           dataset.scales - 1,
           Math.floor(Math.log2(Math.max(dataset.width, dataset.height) / 160))));
-  const photo = (split, every) => (index, at) =>
-      h('figure', null,
+  const photo = (split, every) => ({index, name}, at) =>
+      h('figure', {title: name},
         h('button', {
           type: 'button',
           class: 'photo',
@@ -84,8 +83,8 @@ function photographs(dataset, cameras, signal) {
           onclick: () => enlarge({
             count: every.length,
             at,
-            words: (i) => `${split}:${every[i]}`,
-            picture: (i, stop) => api.photo(dataset.id, split, every[i], 0, stop)
+            words: (i) => `${split}:${every[i].index} · ${every[i].name}`,
+            picture: (i, stop) => api.photo(dataset.id, split, every[i].index, 0, stop)
           }, signal)
         },
           lazyImage(
@@ -94,7 +93,7 @@ function photographs(dataset, cameras, signal) {
         h('figcaption', null, `${split}:${index}`));
   const show = (all) => {
     const split = pick.control.value;
-    const every = indices(split);
+    const every = viewsOf(split);
     const few = matchMedia('(max-width: 700px)').matches ? FIRST_ON_PHONE : FIRST;
     const shown = all ? every : every.slice(0, few);
     fill(grid, shown.map(photo(split, every)));
@@ -109,21 +108,28 @@ function photographs(dataset, cameras, signal) {
   return panel('Photographs', {tools: pick.node}, grid, more);
 }
 
-/** What reading a dataset found. */
+/** What reading a dataset found: what may be wrong with it, and folded what else was measured. */
 export function report(found) {
   const words = [plural(found.errors, 'error'), plural(found.warnings, 'warning')].join(', ');
-  const rows = found.problems.map(
-      (item) =>
-          h('tr', {'data-severity': item.severity}, h('td', null, item.severity),
-            h('td', null, h('code', null, item.where)), h('td', null, item.text)));
+  const row = (item) =>
+      h('tr', {'data-severity': item.severity}, h('td', null, item.severity),
+        h('td', null, h('code', null, item.where)), h('td', null, item.text));
   const clean = h('p', {class: 'good'}, 'Nothing to complain about: every image is usable.');
   const head = h('tr', null, ['Kind', 'Where', 'What'].map((t) => h('th', {scope: 'col'}, t)));
   const more = found.dropped ? `; ${found.dropped} more not listed` : '';
-  const table =
-      h('table', {class: 'table problems'}, h('caption', null, words, more, '; in brackets the limits that numbers are held against'), h('thead', null, head),
-        h('tbody', null, rows));
-  const list = scroller('What the import found', null, table);
-  return panel('What the import found', null, rows.length ? list : clean);
+  const list = (label, items, caption) => scroller(
+      label, null,
+      h('table', {class: 'table problems'}, h('caption', null, caption), h('thead', null, head.cloneNode(true)),
+        h('tbody', null, items.map(row))));
+  const notes = found.problems.filter((item) => item.severity === 'info');
+  const faults = ['error', 'warning'].flatMap(
+      (severity) => found.problems.filter((item) => item.severity === severity));
+  return panel(
+      'What the import found', null, faults.length ? list('Errors and warnings', faults, words + more) : clean,
+      notes.length ?
+          h('details', null, h('summary', null, plural(notes.length, 'note')),
+            list('Notes', notes, 'In brackets the limits that numbers are held against')) :
+          null);
 }
 
 const three = (numbers) => numbers.map((x) => Number(x.toPrecision(4))).join(', ');

@@ -1,6 +1,6 @@
 // What a scene's effects are, why, and what each brings and costs, where that was measured.
 import {api, Problem} from '../api.js';
-import {fill, h} from '../dom.js';
+import {fill, h, text} from '../dom.js';
 import {isActive, isOver, may, means, putJob, watch} from '../store.js';
 import {fixed, plural, seconds} from '../format.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
@@ -45,12 +45,18 @@ const row = (effect, gain) =>
             h('small', {class: 'line'}, `threshold ${effect.threshold_text}`) :
             null));
 
+/** Off, and nothing that the photographs call for. */
+const isIdle = ({decided, on, number, threshold}) => decided && !on && !(number > threshold);
+
 /**
  * @param {any} scene @param {AbortSignal} signal
  * @returns {{node: HTMLElement, show: (scene: any) => void}} `show` takes the scene as it is now
  */
 export function createEffects(scene, signal) {
   const list = h('ul', {class: 'effects'});
+  const rest = h('ul', {class: 'effects'});
+  const count = h('summary');
+  const idle = h('details', null, count, rest);
   const words = h('p', {class: 'quiet'});
   const about = h('p', {class: 'quiet'});
   const under = h('div');
@@ -65,7 +71,12 @@ export function createEffects(scene, signal) {
   function show(latest) {
     now = latest;
     const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
-    fill(list, now.effects.map((effect) => row(effect, gains.get(effect.name))));
+    const rows = (effects) => effects.map((effect) => row(effect, gains.get(effect.name)));
+    const off = now.effects.filter(isIdle);
+    fill(list, rows(now.effects.filter((effect) => !isIdle(effect))));
+    fill(rest, rows(off));
+    text(count, `${off.length} that the photographs do not call for`);
+    idle.hidden = !off.length;
     measure.hidden = !may('train') || Boolean(now.viewing) ||
         !now.effects.some((effect) => effect.measurable !== false);
     fill(words, now.effects.length ?
@@ -103,5 +114,5 @@ export function createEffects(scene, signal) {
     load();
   }, signal);
   show(scene);
-  return {node: panel('Effects', {tools: measure}, words, about, under, list), show};
+  return {node: panel('Effects', {tools: measure}, words, about, under, list, idle), show};
 }

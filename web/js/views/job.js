@@ -58,7 +58,7 @@ function head(job, signal) {
 }
 
 function page(job, trained, signal) {
-  if (isVisitor()) return h('div', null, framesPanel(job, signal));
+  if (isVisitor()) return h('div', {class: 'stack'}, framesPanel(job, signal));
   const side = [statePanel(job, signal), aboutJob(job, signal)];
   if (job.type === 'path')
     return h(

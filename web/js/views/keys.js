@@ -162,6 +162,13 @@ export function createKeys(scene, size, view, signal) {
                           `${plural(frameCount(path), 'frame')} of ${path.width} × ${path.height}`]
                              .join(' · ');
 
+  /** The chosen key is in sight among the others; the page stays where it is. */
+  function reveal() {
+    const item = strip.children[path.keys.findIndex((key) => key.id === selected)];
+    const [has, room] = [item, strip].map((e) => e.getBoundingClientRect());
+    strip.scrollLeft += Math.max(0, has.right - room.right) + Math.min(0, has.left - room.left);
+  }
+
   function goTo(id) {
     const item = path.keys.find((other) => other.id === id);
     if (!item) return;
@@ -170,6 +177,7 @@ export function createKeys(scene, size, view, signal) {
     timeline.set(item.time - path.keys[0].time);
     view.show(item.pose, item.fovDeg, item.optics);
     show();
+    reveal();
   }
 
   function seek(time) {
@@ -226,6 +234,7 @@ export function createKeys(scene, size, view, signal) {
     set(addKey(path, view.pose(), view.orbit.fovDeg));
     selected = path.keys.at(-1).id;
     show();
+    reveal();
     timeline.set(path.keys.at(-1).time - path.keys[0].time);
     announce(`Key ${path.keys.length} recorded`);
     pictures();
@@ -291,6 +300,9 @@ export function createKeys(scene, size, view, signal) {
     form.show(path);
     pictures();
   };
+  const offer = (name) => path.keys.length ?
+      confirmFirst('Replace the keys of this path?', 'Replace', async () => make(name)) :
+      make(name);
   const swings = photographedArc(view.orbit, view.cameras);  // a whole turn would show what nobody photographed
   const offered = ([name]) => name === 'photographs' ? view.cameras.length > 1 : name !== 'swing' || swings;
   const ready =
@@ -299,11 +311,7 @@ export function createKeys(scene, size, view, signal) {
         onchange: () => {
           const {value} = ready;
           ready.value = '';
-          if (!value) return;
-          if (!path.keys.length)
-            make(value);
-          else
-            confirmFirst('Replace the keys of this path?', 'Replace', async () => make(value));
+          if (value) offer(value);
         }
       },
         h('option', {value: ''}, 'Ready-made…'),
@@ -322,7 +330,7 @@ export function createKeys(scene, size, view, signal) {
         'data-order': 1,
         tools:
             h('div', {class: 'row wrap'}, undo, redo, ready,
-              h('button', {type: 'button', class: 'small', onclick: () => make(swings ? 'swing' : 'orbit')},
+              h('button', {type: 'button', class: 'small', onclick: () => offer(swings ? 'swing' : 'orbit')},
                 swings ? 'Swing' : 'Whole turn'),
               clear)
       },

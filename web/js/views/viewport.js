@@ -64,8 +64,9 @@ export function createViewport(scene, cameras, host, signal) {
   const cover =
       h('div', {class: 'cover-note', role: 'status'},
         h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Waiting for the first picture');
+  const keyed = host.onKey ? ', K records a key, U moves the chosen key here' : '';
   const help =
-      'Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets, K records a key, U moves the chosen key here.';
+      `Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets${keyed}.`;
   const stage =
       h('div', {
         class: 'stage',
@@ -414,7 +415,8 @@ export function createViewport(scene, cameras, host, signal) {
               'Record key') :
             null),
       h('p', {class: 'quiet help', 'aria-hidden': 'true'},
-        'Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets, K records a key, U moves the chosen key here. A drawn camera is gone to by a click.'));
+        `Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets${
+            keyed}.${photographs.length ? ' A drawn camera is gone to by a click.' : ''}`));
   return {
     node,
     up,
