@@ -149,7 +149,7 @@ static void print_verb(const struct rn_verb *verb) {
 
 static enum rn_exit help(const char *name) {
     const struct rn_verb *verb = name ? find_verb(name) : NULL;
-    if (name && !verb) return complain_of_verb(name);
+    if (name && !verb && strcmp(name, "help") != 0) return complain_of_verb(name);
     if (verb)
         print_verb(verb);
     else

@@ -355,8 +355,7 @@ static void tell_of_what_is_seen(const struct rn_scene_place *place, char *text,
     else
         snprintf(text, capacity, "%.0f %% of %zu %s lie farther than the cameras (%.0f)",
                  100 * place->beyond, place->witnesses,
-                 place->by_points ? "points" : "places at the depths that the poses give",
-                 100 * BEYOND);
+                 place->by_points ? "points" : "places at the poses' depths", 100 * BEYOND);
 }
 
 static void tell_slope(double below_deg, char *text, size_t capacity) {
@@ -377,8 +376,8 @@ void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place 
     rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
                     "%s: view directions have a mean of length %.2f (%.1f), half of the axes pass "
                     "one point within %.0f %% of its distance (%.0f), they look %s (%d down), "
-                    "%s; up is %.3g,%.3g,%.3g, %s, half of the cameras are held askew by "
-                    "%.1f degrees at most",
+                    "%s; up is %.3g,%.3g,%.3g, %s, half of the cameras askew by %.1f "
+                    "degrees at most",
                     rn_capture_titles[place->lie.kind], place->alignment, FORWARD,
                     100 * fmin(place->miss, 9.99), 100 * CONVERGENT, slope, STEEP_DEG, seen, up[0],
                     up[1], up[2], place->lie.up_given ? "as given" : "by the cameras",

@@ -3,6 +3,9 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
+
+#include "common/base/utf8.h"
 
 #define RN_PROBLEMS_MAX 500
 
@@ -18,6 +21,16 @@ static bool grow(struct rn_problems *problems) {
     return true;
 }
 
+// What has no room ends with dots, and not within a character; names may be no UTF-8.
+static void shorten(char *text, size_t size, int length) {
+    static const char dots[] = "...";
+    size_t at = size - sizeof dots;
+    while (at > 0 && (unsigned char)text[at] >> 6 == 2)
+        at--;
+    if (length >= (int)size) memcpy(text + at, dots, sizeof dots);
+    rn_utf8_clean(text);
+}
+
 void rn_problems_add(struct rn_problems *problems, enum rn_severity severity, const char *where,
                      const char *fmt, ...) {
     if (!problems) return;
@@ -29,11 +42,13 @@ void rn_problems_add(struct rn_problems *problems, enum rn_severity severity, co
     }
     struct rn_problem *problem = &problems->items[problems->count++];
     problem->severity = severity;
-    snprintf(problem->where, sizeof problem->where, "%s", where);
+    int length = snprintf(problem->where, sizeof problem->where, "%s", where);
+    shorten(problem->where, sizeof problem->where, length);
     va_list args;
     va_start(args, fmt);
-    vsnprintf(problem->text, sizeof problem->text, fmt, args);
+    length = vsnprintf(problem->text, sizeof problem->text, fmt, args);
     va_end(args);
+    shorten(problem->text, sizeof problem->text, length);
 }
 
 void rn_problems_finish(struct rn_problems *problems) {

@@ -195,6 +195,7 @@ def test_bounds_that_are_given_are_the_ones_that_are_checked(client, tmp_path):
 
 def test_the_overview_fits_a_terminal(client):
     text = client.run("help").stdout
+    assert client.run("help", "help").stdout == text
     assert "  paths " in text and [line for line in text.splitlines() if len(line) > 80] == []
 
 

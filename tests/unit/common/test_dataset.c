@@ -611,6 +611,23 @@ START_TEST(bad_native_document) {
 }
 END_TEST
 
+// What a list of names has no room for ends with dots, and within no character.
+START_TEST(long_problems) {
+    char text[900] = "a";
+    for (int i = 0; i < 400; i++)
+        strcpy(text + _i + 2 * i, "\xc3\xa9");
+    rn_problems_add(&problems, RN_SEVERITY_INFO, text, "%s", text);
+    rn_problems_add(&problems, RN_SEVERITY_INFO, "\xff", "\xff");
+    for (int i = 0; i < 2; i++) {
+        const char *both[] = {problems.items[0].where, problems.items[0].text};
+        size_t length = strlen(both[i]);
+        ck_assert_str_eq(both[i] + length - 5, "\xc3\xa9...");
+    }
+    ck_assert_str_eq(problems.items[1].where, "?");
+    ck_assert_str_eq(problems.items[1].text, "?");
+}
+END_TEST
+
 #define COUNT(table) ((int)(sizeof table / sizeof *table))
 
 int main(void) {
@@ -618,6 +635,7 @@ int main(void) {
     TCase *tests = tcase_create("dataset");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_add_test(tests, blender);
+    tcase_add_loop_test(tests, long_problems, 0, 2);
     tcase_add_test(tests, bounds_and_report);
     tcase_add_test(tests, bounds_from_cameras);
     tcase_add_test(tests, photographs_of_more_than_the_sphere);

@@ -136,13 +136,27 @@ START_TEST(depths) {
     ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
     ck_assert_uint_eq(place.witnesses, 15 * CAMERAS);
     ck_assert_int_eq(place.bounds.source, RN_BOUNDS_DEPTHS);
-    ck_assert(told("places at the depths that the poses give lie farther"));
+    ck_assert(told("places at the poses' depths lie farther"));
     ck_assert_double_eq_tol(place.bounds.centre[1], 9, 0.5);
     for (int i = 0; i < CAMERAS; i++)
         frames[i].near = frames[i].far = 0;
     ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
     ck_assert_int_eq(place.bounds.source, RN_BOUNDS_CAMERAS);
     ck_assert(isnan(place.beyond));
+}
+END_TEST
+
+// The longest of what is said of a place has room.
+START_TEST(told_to_the_end) {
+    put_capture(RN_CAPTURE_FORWARD, false, origin);
+    place.lie.kind = RN_CAPTURE_OUTDOOR;
+    place.by_points = false;
+    place.witnesses = 1234567;
+    place.beyond = 1;
+    for (int i = 0; i < 3; i++)
+        place.lie.up[i] = -0.000123;
+    ck_assert(told("cameras askew by"));
+    ck_assert(told("degrees at most"));
 }
 END_TEST
 
@@ -194,6 +208,7 @@ int main(void) {
     tcase_add_loop_test(tests, far_from_the_origin, 0, RN_CAPTURE_KINDS);
     tcase_add_test(tests, given);
     tcase_add_test(tests, depths);
+    tcase_add_test(tests, told_to_the_end);
     tcase_add_loop_test(tests, slopes, 0, 5);
     tcase_add_test(tests, kept);
     suite_add_tcase(suite, tests);
