@@ -331,7 +331,9 @@ static bool place_corner(const struct look *look, const struct corner *corner,
     struct rn_grey_picture picture = picture_of(look);
     struct rn_patch patch;
     double at[2] = {(double)corner->x, (double)corner->y};
-    if (!rn_patch_take(&picture, at, right, down, &patch) || !rn_patch_normalise(&patch))
+    struct rn_ray ray = rn_camera_ray(&look->camera, at[0], at[1]);
+    if (!(ray.radius > 0) || !rn_patch_take(&picture, at, right, down, &patch) ||
+        !rn_patch_normalise(&patch))
         return false;
     for (int n = 0; n < count; n++)
         prepare(look, corner, others[n], &neighbours[n]);
@@ -340,7 +342,6 @@ static bool place_corner(const struct look *look, const struct corner *corner,
     int steps = (int)fmin(STEPS, ceil(far * most * look->camera.fx) + 1);
     double nearness = find_nearness(neighbours, count, &patch, most, steps, scores);
     if (!(nearness > 0)) return false;
-    struct rn_ray ray = rn_camera_ray(&look->camera, at[0], at[1]);
     *ret = (struct found){.point.error = -1};
     memcpy(ret->point.colour, corner->colour, sizeof corner->colour);
     for (int i = 0; i < 3; i++)

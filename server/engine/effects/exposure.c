@@ -15,7 +15,7 @@ static void prepare(const struct rn_dataset *dataset, struct rn_train_config *co
                              config->auto_effects && r->number > r->threshold);
     if (isnan(r->number))
         snprintf(r->reason, sizeof r->reason,
-                 "not measured: the dataset has no sparse points that photographs share");
+                 "not measured: no file says which photographs see the same points");
     else
         snprintf(
             r->reason, sizeof r->reason,
