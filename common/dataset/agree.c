@@ -13,9 +13,7 @@
 
 // ---- points against photographs ----
 
-// Frames of full size by photograph, malloc'd; NULL when memory is out.
-static const struct rn_frame **frames_by_photo(const struct rn_dataset *dataset,
-                                               size_t *ret_count) {
+const struct rn_frame **rn_frames_by_photo(const struct rn_dataset *dataset, size_t *ret_count) {
     size_t count = 0;
     for (size_t i = 0; i < dataset->frame_count; i++)
         if ((size_t)dataset->frames[i].photo >= count) count = (size_t)dataset->frames[i].photo + 1;
@@ -52,7 +50,7 @@ enum rn_status rn_dataset_reproject(const struct rn_dataset *dataset,
                                     struct rn_reprojection *ret_found, struct rn_error *err) {
     const struct rn_points *points = &dataset->points;
     size_t photo_count;
-    const struct rn_frame **frames = frames_by_photo(dataset, &photo_count);
+    const struct rn_frame **frames = rn_frames_by_photo(dataset, &photo_count);
     struct miss *of = calloc(points->count + 1, sizeof *of);
     if (!frames || !of) {
         free(frames);
@@ -96,7 +94,7 @@ enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
                                            const struct rn_frame *const *frames, size_t count,
                                            double *ret_px) {
     size_t photo_count;
-    const struct rn_frame **by_photo = frames_by_photo(dataset, &photo_count);
+    const struct rn_frame **by_photo = rn_frames_by_photo(dataset, &photo_count);
     struct miss *of = calloc(photo_count + 1, sizeof *of);
     for (size_t i = 0; by_photo && of && i < dataset->points.sighting_count; i++) {
         const struct rn_sighting *sighting = &dataset->points.sightings[i];

@@ -107,7 +107,7 @@ double rn_share_past(const struct rn_dataset *d, const struct rn_bounds *bounds,
     return all ? (double)past / (double)all : 0;
 }
 
-bool rn_faces_one_way(const struct rn_dataset *d) {
+bool rn_looks_one_way(const struct rn_dataset *d) {
     double mean[3] = {0}, size = 0, least = 1;
     for (size_t f = 0; f < d->frame_count; f++)
         for (int i = 0; i < 3; i++)
@@ -116,13 +116,19 @@ bool rn_faces_one_way(const struct rn_dataset *d) {
     for (int i = 0; i < 3; i++)
         size += mean[i] * mean[i];
     for (size_t f = 0; f < d->frame_count; f++) {
-        const struct rn_frame *frame = &d->frames[f];
         double cosine = 0;
-        if (frame->split != RN_SPLIT_TRAIN) continue;
-        if (!(frame->near > 0 && frame->far > 0)) return false;
+        if (d->frames[f].split != RN_SPLIT_TRAIN) continue;
         for (int i = 0; i < 3; i++)
-            cosine += frame->camera.world_from_camera[i][2] * mean[i] / sqrt(size);
+            cosine += d->frames[f].camera.world_from_camera[i][2] * mean[i] / sqrt(size);
         least = fmin(least, cosine);
     }
     return size > 0 && acos(least) * 57.29577951308232 <= RN_FORWARD_WIDEST;
+}
+
+bool rn_faces_one_way(const struct rn_dataset *d) {
+    for (size_t f = 0; f < d->frame_count; f++)
+        if (d->frames[f].split == RN_SPLIT_TRAIN &&
+            !(d->frames[f].near > 0 && d->frames[f].far > 0))
+            return false;
+    return rn_looks_one_way(d);
 }

@@ -31,8 +31,10 @@ double rn_share_left_out(const struct rn_dataset *dataset);
 double rn_share_past(const struct rn_dataset *dataset, const struct rn_bounds *bounds,
                      bool cut_out);
 
-// Whether the training cameras all look one way between depths that are given: such a place is
-// held by planes over its disparity.
+// Whether the axes of all training cameras lie within RN_FORWARD_WIDEST of their mean.
+bool rn_looks_one_way(const struct rn_dataset *dataset);
+// Whether they do, between depths that are known: such a place is held by planes over its
+// disparity.
 bool rn_faces_one_way(const struct rn_dataset *dataset);
 
 #endif

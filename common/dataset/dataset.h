@@ -34,7 +34,8 @@ struct rn_frame {
     double gain[3];   // how bright its stored values are against the other photographs', by
                       // channel; 0: not measured
     int photo;        // which photograph it is of, for struct rn_sighting
-    double near, far; // along the optical axis, dataset units, as the source gives; 0: not given
+    double near, far; // along the optical axis, dataset units, as the source gives or its points
+                      // say; 0: not known
     struct rn_camera camera;
 };
 
@@ -250,6 +251,10 @@ enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
                                      struct rn_scene_place *ret_place,
                                      struct rn_error *err) RN_MUST_CHECK;
 
+// Fills in near and far of all frames where none has any, all cameras look one way and sightings
+// say what is seen. RN_ERROR_NO_MEMORY.
+enum rn_status rn_dataset_find_depths(struct rn_dataset *dataset,
+                                      struct rn_error *err) RN_MUST_CHECK;
 // That all photographs have an alpha channel.
 bool rn_dataset_is_cut_out(const struct rn_dataset *dataset);
 
@@ -257,12 +262,12 @@ extern const char *const rn_downscale_names[]; // "premultiplied", "straight"
 
 // Import: decode, scale and write a native dataset (dataset.json and images/) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
-// at once, and where points are looked for (triangulate.h) small copies of 1,000, 120 MB. An image that cannot be decoded is left out, of `source` too (counted there as
-// unusable), with an error in `problems` (optional); RN_ERROR_INVALID when that leaves no training
-// view. `progress` may be NULL; it is called by worker threads, one at a time; returning false from
-// it cancels (RN_ERROR_CANCELLED). Level j of a view is downscaled from its full-size (after
-// max_size) image to round(size / 2^j) and weighs 4^j; in straight mode the levels are
-// rn_image_legacy_pyramid's.
+// at once, and where points are looked for (triangulate.h) small copies of 1,000, 120 MB. An image
+// that cannot be decoded is left out, of `source` too (counted there as unusable), with an error in
+// `problems` (optional); RN_ERROR_INVALID when that leaves no training view. `progress` may be
+// NULL; it is called by worker threads, one at a time; returning false from it cancels
+// (RN_ERROR_CANCELLED). Level j of a view is downscaled from its full-size (after max_size) image
+// to round(size / 2^j) and weighs 4^j; in straight mode the levels are rn_image_legacy_pyramid's.
 struct rn_import_options {
     int max_size;                // longest side in pixels, 0 = as is
     int scales;                  // >= 1: how many scales to make; 1 keeps the dataset's own

@@ -385,8 +385,13 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
     size_t before = source->points.count;
     enum rn_status status = rn_triangulation_solve(import->triangulation, import->options->threads,
                                                    source, progress ? go_on : NULL, &part, err);
-    size_t count = source->points.count - before;
+    size_t count = source->points.count - before, levels = (size_t)import->levels;
+    if (status == RN_OK) status = rn_dataset_find_depths(source, err);
     if (status || !count) return status;
+    for (size_t i = 0; i < import->view_count * levels; i++) {
+        import->outputs[i].near = import->views[i / levels]->near;
+        import->outputs[i].far = import->views[i / levels]->far;
+    }
     rn_problems_add(problems, RN_SEVERITY_INFO, "points",
                     "no file says which photographs see which points: %zu were found where "
                     "photographs look alike, each seen by %.1f of them; what they are seen through "

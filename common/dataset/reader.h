@@ -85,6 +85,8 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
 
 // Tells of all photographs that are not there at once.
 void rn_reader_tell_missing(struct rn_reader *reader);
+// Frames of full size by photograph, malloc'd, NULL where one has none; NULL when memory is out.
+const struct rn_frame **rn_frames_by_photo(const struct rn_dataset *dataset, size_t *ret_count);
 // Tells how the points meet the photographs.
 void rn_reader_tell_reprojection(struct rn_reader *reader);
 // Tells how photographs were taken and how they lie, with the evidence.

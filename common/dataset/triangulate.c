@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/calls.h"
 #include "common/dataset/grey.h"
 #include "common/dataset/output.h"
 #include "common/dataset/patch.h"
@@ -74,7 +75,7 @@ void rn_triangulation_destroy(struct rn_triangulation **triangulation) {
 }
 
 static bool is_called_for(const struct rn_dataset *dataset) {
-    return !dataset->points.sighting_count && dataset->lie.kind != RN_CAPTURE_FORWARD &&
+    return !dataset->points.sighting_count && !rn_faces_one_way(dataset) &&
            !rn_dataset_is_cut_out(dataset);
 }
 

@@ -15,7 +15,8 @@ struct rn_triangulation;
 
 // For the training views of `dataset`, which must outlive it, at full size; numbers the
 // photographs anew (struct rn_frame's `photo`). *ret_triangulation is NULL where it is not called
-// for: a dataset has sightings, objects are cut out by alpha, or all cameras look one way.
+// for: a dataset has sightings, objects are cut out by alpha, or all cameras look one way
+// between depths that are known.
 // `test_every` as in struct rn_import_options: these views test, and are left out.
 // RN_ERROR_NO_MEMORY.
 enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_every,

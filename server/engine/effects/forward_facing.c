@@ -129,7 +129,7 @@ static const char *find_space(const struct rn_evidence *e, struct rn_disparity *
     if (!(*ret_angle <= RN_FORWARD_WIDEST)) return "; these look around";
     if (e->field->effects[RN_EFFECT_BACKGROUND].on) return "; alpha cuts the scene out";
     if (e->field->config.field.space != RN_SPACE_BALL) return "; its space is unbounded";
-    if (!depths_given(p)) return "; the dataset gives no near and far depth";
+    if (!depths_given(p)) return "; neither the dataset nor points in it say near and far";
     struct extent x = see(p, &space, false);
     space.near = BEFORE * x.nearest;
     space.far = BEHIND * x.farthest;

@@ -2,6 +2,7 @@
 // known.
 #include <math.h>
 
+#include "common/dataset/calls.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 static struct rn_dataset *kept;
@@ -147,11 +148,56 @@ START_TEST(photographs_that_are_trained_on_see_them) {
 END_TEST
 
 START_TEST(none_are_looked_for_where_they_say_nothing) {
-    static const char *const scenes[] = {"still-life", "window"}; // cut out by alpha; one way
     struct rn_synth_options few = {.size = 96, .views = 32, .threads = 4, .samples = 1};
-    take_others(scenes[_i], &few);
+    take_others("still-life", &few); // cut out by alpha
     keep("kept", 0, 4);
     ck_assert_uint_eq(kept->points.count, 0);
+}
+END_TEST
+
+// The nearest and the farthest depth, but the sky's, that photographs of the window show.
+static void true_depths(double *ret_near, double *ret_far) {
+    *ret_near = HUGE_VAL;
+    *ret_far = 0;
+    for (size_t i = 0; i < kept->frame_count; i++) {
+        const struct rn_camera *camera = &kept->frames[i].camera;
+        struct rn_picture depth;
+        ck_assert_int_eq(rn_synth_depth("window", camera, &depth, &err), RN_OK);
+        for (int p = 0; p < depth.width * depth.height; p++) {
+            struct rn_ray ray =
+                rn_camera_ray(camera, p % depth.width + 0.5, (double)(p / depth.width) + 0.5);
+            double along = 0;
+            for (int k = 0; k < 3; k++)
+                along += camera->world_from_camera[k][2] * ray.direction[k];
+            if (!isfinite(depth.values[p])) continue;
+            *ret_near = fmin(*ret_near, along * (double)depth.values[p]);
+            *ret_far = fmax(*ret_far, along * (double)depth.values[p]);
+        }
+        rn_picture_finish(&depth);
+    }
+}
+
+// By points that the import finds, and by those of a COLMAP model.
+START_TEST(photographs_that_look_one_way_have_depths) {
+    struct rn_synth_options options = {
+        .size = 160, .views = 32, .threads = 4, .samples = 4, .capture = _i > 0};
+    double near, far;
+    take_others("window", &options);
+    if (_i)
+        ck_assert_double_gt(dataset->frames[0].near, 0);
+    else
+        ck_assert_double_eq(dataset->frames[0].far, 0);
+    keep("kept", 0, 4);
+    true_depths(&near, &far);
+    ck_assert_double_gt(kept->frames[0].near, near);
+    ck_assert_double_lt(0.85 * kept->frames[0].near, near); // from where training looks
+    ck_assert_double_gt(kept->frames[0].far, 10 * near);
+    ck_assert_double_lt(kept->frames[0].far, far);
+    for (size_t i = 0; i < kept->frame_count; i++) {
+        ck_assert_double_eq(kept->frames[i].near, kept->frames[0].near);
+        ck_assert_double_eq(kept->frames[i].far, kept->frames[0].far);
+    }
+    ck_assert(rn_faces_one_way(kept));
 }
 END_TEST
 
@@ -208,7 +254,8 @@ int main(void) {
     tcase_add_loop_test(c, points_lie_where_the_place_is, 0, 2);
     tcase_add_test(c, they_are_the_same_for_any_number_of_threads);
     tcase_add_test(c, photographs_that_are_trained_on_see_them);
-    tcase_add_loop_test(c, none_are_looked_for_where_they_say_nothing, 0, 2);
+    tcase_add_test(c, none_are_looked_for_where_they_say_nothing);
+    tcase_add_loop_test(c, photographs_that_look_one_way_have_depths, 0, 2);
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
     tcase_add_test(c, points_of_the_source_are_kept);
     tcase_add_test(c, looking_for_them_can_be_cancelled);
