@@ -304,7 +304,8 @@ static double apart(const struct look *a, const struct look *b) {
     return sqrt(squares);
 }
 
-// The photographs nearest to one that look the same way, but from the same place; their number.
+// The photographs nearest to one that look the same way, but none from the same place; their
+// number.
 static int find_neighbours(const struct rn_triangulation *t, const struct look *look,
                            const struct look *ret[NEIGHBOURS]) {
     struct rn_nearest nearest = {.most = 2 * NEIGHBOURS};
@@ -379,6 +380,14 @@ static enum rn_status place_corners(void *context, size_t index, struct rn_error
 
 // ---- all of them ----
 
+// Every so-manyth stays, so that `count` more are not too many.
+static void make_room(struct rn_points *points, size_t count) {
+    size_t room = RN_POINTS_MAX - count, stride = (points->count + room - 1) / room, kept = 0;
+    for (size_t i = 0; i < points->count; i += stride)
+        points->items[kept++] = points->items[i];
+    points->count = kept;
+}
+
 // Onto the end of the dataset's.
 static enum rn_status take_found(const struct rn_triangulation *t, struct rn_points *points,
                                  struct rn_error *err) {
@@ -386,6 +395,7 @@ static enum rn_status take_found(const struct rn_triangulation *t, struct rn_poi
     for (size_t i = 0; i < t->count; i++)
         count += t->found_count[i];
     if (!count) return RN_OK;
+    make_room(points, count);
     struct rn_point *items = realloc(points->items, (points->count + count) * sizeof *items);
     if (items) points->items = items;
     points->sightings = malloc(count * (1 + NEIGHBOURS) * sizeof *points->sightings);

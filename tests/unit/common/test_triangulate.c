@@ -213,17 +213,19 @@ START_TEST(sightings_of_the_source_stay_as_they_are) {
 }
 END_TEST
 
-// Of which no file says who saw them: those that are found come after them.
+// Of which no file says who saw them: those that are found come after them, and there is room.
 START_TEST(points_of_the_source_are_kept) {
+    size_t count = _i ? RN_POINTS_MAX : 1;
     read_place();
-    dataset->points.items = calloc(1, sizeof *dataset->points.items);
+    dataset->points.items = calloc(count, sizeof *dataset->points.items);
     dataset->points.items[0].position[2] = 7;
-    dataset->points.count = 1;
+    dataset->points.count = count;
     keep("kept", 0, 4);
-    ck_assert_uint_gt(kept->points.count, 1000);
+    size_t stayed = _i ? RN_POINTS_MAX / 2 : 1;
+    ck_assert_uint_gt(kept->points.count, stayed + 1000);
     ck_assert_double_eq(kept->points.items[0].position[2], 7);
     for (size_t i = 0; i < kept->points.sighting_count; i++)
-        ck_assert_uint_gt(kept->points.sightings[i].point, 0);
+        ck_assert_uint_ge(kept->points.sightings[i].point, stayed);
 }
 END_TEST
 
@@ -257,7 +259,7 @@ int main(void) {
     tcase_add_test(c, none_are_looked_for_where_they_say_nothing);
     tcase_add_loop_test(c, photographs_that_look_one_way_have_depths, 0, 2);
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
-    tcase_add_test(c, points_of_the_source_are_kept);
+    tcase_add_loop_test(c, points_of_the_source_are_kept, 0, 2);
     tcase_add_test(c, looking_for_them_can_be_cancelled);
     suite_add_tcase(suite, c);
     return run_suite(suite);
