@@ -4,13 +4,14 @@
 
 #include "proto/codec.h"
 
-#define RN_CALIBRATION_LOOKED 0.3125 // of its schedule, at the second look; half of it at the first
+#define RN_CALIBRATION_LOOKS 3
+#define RN_CALIBRATION_LOOKED 0.46875 // of its schedule, at the last look; they are as far apart
 
-// What a runner measured: the beginning of the training, looked at twice.
+// What a runner measured: the beginning of the training, looked at three times.
 struct rn_calibration {
-    double seconds[2],
-        psnr[2];          // on the training clock, and held out, at the looks; NAN: nothing is
-    double step_seconds;  // on the mean, until the second look
+    // On the training clock, and held out, at the looks; NAN: nothing is.
+    double seconds[RN_CALIBRATION_LOOKS], psnr[RN_CALIBRATION_LOOKS];
+    double step_seconds;  // on the mean, until the last look
     double load_seconds;  // all before the first step, once
     double spent_seconds; // in all
     double max_seconds;   // that the training asked for may take; 0: no limit

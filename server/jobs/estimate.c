@@ -11,7 +11,7 @@
 
 #define MOST_JOBS 64  // of the past that are looked at
 #define TRUSTED 3     // estimates that were checked, until their spread is believed
-#define SPREAD_DB 0.9 // of a training's end, until then
+#define SPREAD_DB 0.5 // of a training's end, until then
 #define PULL 2        // as many estimates that were right stand against a bias
 
 static const double passed_psnr[] = {30, 33};

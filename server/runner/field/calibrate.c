@@ -1,4 +1,4 @@
-// A calibration: the beginning of the training that was asked for, looked at twice, which says how
+// A calibration: the beginning of the training that was asked for, looked at three times, which says how
 // the whole will do. Nothing of it is kept.
 #include <math.h>
 #include <stdio.h>
@@ -11,7 +11,6 @@
 #include "server/runner/scene/describe.h"
 
 #define LONGEST_S 60.0 // a training that is asked for longer is begun as one of that
-#define GROWN 0.4      // of the schedule, when planes have their last size in any case
 #define PROGRESS_S 0.5
 #define CHECKPOINTS 2 // kept of a training
 
@@ -84,29 +83,21 @@ static int64_t disk_bytes(const struct rn_field_info *info) {
     return CHECKPOINTS * (3 * field + (int64_t)(9 * cells)) + marks;
 }
 
+// Planes have their last size at the last look: memory and disk are what they are then.
 static void note_look(struct rn_host *host) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_progress progress;
+    struct rn_field_info info;
+    rn_field_describe(rn_trainer_field(c->trainer), &info);
     rn_trainer_progress(c->trainer, &progress);
     c->found.seconds[c->look] = progress.train_seconds;
     c->found.psnr[c->look] = progress.psnr;
     c->found.step_seconds = progress.train_seconds / (double)(progress.step ? progress.step : 1);
     c->found.load_seconds = progress.load_seconds;
-    c->validates = false;
-    c->look++;
-}
-
-// All is known once the planes have their last size, which they get soon after the second look;
-// memory and disk are what they are then.
-static bool is_over(struct rn_calibrating *c) {
-    struct rn_progress progress;
-    struct rn_field_info info;
-    if (c->look < 2) return false;
-    rn_trainer_progress(c->trainer, &progress);
-    rn_field_describe(rn_trainer_field(c->trainer), &info);
     c->found.memory_bytes = rn_resident_bytes();
     c->found.disk_bytes = disk_bytes(&info);
-    return info.config.field.base >= info.config.grow_to || progress.fraction >= GROWN;
+    c->validates = false;
+    c->look++;
 }
 
 // A little of it; *ret_seen: a look's figure is there.
@@ -118,7 +109,8 @@ static enum rn_status go_on(struct rn_host *host, bool *ret_seen, struct rn_erro
     if (c->validates) return rn_trainer_validate(c->trainer, RN_SLICE_MS, ret_seen, err);
     enum rn_status status = rn_trainer_advance(c->trainer, RN_SLICE_MS, err);
     rn_trainer_progress(c->trainer, &progress);
-    c->validates = c->look < 2 && progress.fraction >= RN_CALIBRATION_LOOKED / 2 * (c->look + 1);
+    double due = RN_CALIBRATION_LOOKED / RN_CALIBRATION_LOOKS * (c->look + 1);
+    c->validates = progress.fraction >= due;
     return status;
 }
 
@@ -127,7 +119,7 @@ static enum rn_status go_on(struct rn_host *host, bool *ret_seen, struct rn_erro
 static void post_progress(struct rn_host *host) {
     struct rn_calibrating *c = host->calibrating;
     struct rn_progress now = {0};
-    double total = GROWN * whole_seconds(c);
+    double total = RN_CALIBRATION_LOOKED * whole_seconds(c);
     if (c->trainer) rn_trainer_progress(c->trainer, &now);
     double done = now.train_seconds;
     struct rn_work_progress record = {.done = (int64_t)done,
@@ -179,7 +171,7 @@ void rn_calibration_slice(struct rn_host *host) {
     }
     if (seen) note_look(host);
     if (now_s() - c->reported_s >= PROGRESS_S) post_progress(host);
-    if (is_over(c)) conclude(host);
+    if (c->look == RN_CALIBRATION_LOOKS) conclude(host);
 }
 
 void rn_calibration_start(struct rn_host *host, const struct rn_wire_train *train) {
