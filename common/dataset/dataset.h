@@ -58,6 +58,7 @@ struct rn_points {
     size_t count;
     struct rn_sighting *sightings; // in no order
     size_t sighting_count;
+    bool found; // by the import, with the poses as they are, of which they say nothing
 };
 
 // DEPTHS: near and far of each photograph, as the source gives them. OUTLINES: of what alpha

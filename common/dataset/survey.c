@@ -437,7 +437,7 @@ static void find_reprojection(struct all *all) {
     struct names names = {.count = 0};
     double *means = malloc((all->count + 1) * sizeof *means), worst = 0;
     const struct rn_dataset *dataset = all->dataset;
-    if (means && dataset->points.sighting_count &&
+    if (means && dataset->points.sighting_count && !dataset->points.found &&
         rn_dataset_reproject(dataset, &r, NULL) == RN_OK &&
         rn_dataset_reproject_photos(dataset, all->frames, all->count, means) == RN_OK) {
         all->found.reprojection_px = r.mean_px;

@@ -396,6 +396,7 @@ static enum rn_status take_found(const struct rn_triangulation *t, struct rn_poi
         count += t->found_count[i];
     if (!count) return RN_OK;
     make_room(points, count);
+    points->found = true;
     struct rn_point *items = realloc(points->items, (points->count + count) * sizeof *items);
     if (items) points->items = items;
     points->sightings = malloc(count * (1 + NEIGHBOURS) * sizeof *points->sightings);

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "common/dataset/calls.h"
+#include "common/dataset/survey.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 static struct rn_dataset *kept;
@@ -213,6 +214,20 @@ START_TEST(sightings_of_the_source_stay_as_they_are) {
 }
 END_TEST
 
+// They lie where the poses have them.
+START_TEST(points_that_are_found_say_nothing_of_poses) {
+    struct rn_import_options how = {.scales = 1, .threads = 1};
+    struct rn_survey *survey;
+    struct rn_findings found;
+    read_place();
+    keep("kept", 0, 4);
+    ck_assert_int_eq(rn_survey_create(dataset, &survey, &err), RN_OK);
+    ck_assert_int_eq(rn_survey_conclude(survey, dataset, &how, NULL, &found, &err), RN_OK);
+    ck_assert_double_nan(found.reprojection_px);
+    rn_survey_destroy(&survey);
+}
+END_TEST
+
 // Of which no file says who saw them: those that are found come after them, and there is room.
 START_TEST(points_of_the_source_are_kept) {
     size_t count = _i ? RN_POINTS_MAX : 1;
@@ -259,6 +274,7 @@ int main(void) {
     tcase_add_test(c, none_are_looked_for_where_they_say_nothing);
     tcase_add_loop_test(c, photographs_that_look_one_way_have_depths, 0, 2);
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
+    tcase_add_test(c, points_that_are_found_say_nothing_of_poses);
     tcase_add_loop_test(c, points_of_the_source_are_kept, 0, 2);
     tcase_add_test(c, looking_for_them_can_be_cancelled);
     suite_add_tcase(suite, c);
