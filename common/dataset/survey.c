@@ -27,6 +27,9 @@
 #define NAMES 8      // told
 #define PLAIN 2      // of 255, by which the edges of pictures of one colour differ
 
+#define FORWARD "puts planes over the disparity between near and far (effect forward-facing)"
+#define ROUND "contracts space to infinity (effect unbounded)"
+
 struct look {
     enum rn_split split; // of the frame, by which, with the next two, it is known again
     int index, scale;
@@ -426,10 +429,9 @@ static void find_effects(struct all *all) {
                         "%.0f %% of the pixels look past what all cameras look at (%.0f): training "
                         "%s",
                         100 * past, 100 * RN_SHARE_PAST,
-                        rn_faces_one_way(d)
-                            ? "puts planes over the disparity between near and far (effect "
-                              "forward-facing)"
-                            : "contracts space to infinity (effect unbounded)");
+                        rn_faces_one_way(d)   ? FORWARD
+                        : rn_looks_one_way(d) ? FORWARD " where an import finds these, else " ROUND
+                                              : ROUND);
 }
 
 static void find_reprojection(struct all *all) {

@@ -317,7 +317,8 @@ START_TEST(exposures) {
 }
 END_TEST
 
-// What cameras call for: nothing, a lens, space to infinity, planes over disparity.
+// What cameras call for: nothing, a lens, space to infinity, planes over disparity, or one of
+// these.
 START_TEST(effects) {
     put_ring();
     put_photos();
@@ -333,14 +334,16 @@ START_TEST(effects) {
         ck_assert_int_eq(rn_camera_look_at(eye, target, (const double[3]){0, 1, 0},
                                            frame->camera.world_from_camera),
                          RN_OK);
-        frame->near = 2;
-        frame->far = 9;
+        frame->near = _i == 3 ? 2 : 0;
+        frame->far = _i == 3 ? 9 : 0;
     }
     if (_i >= 2) dataset->bounds.source = RN_BOUNDS_CAMERAS;
     look();
     ck_assert_int_eq(tells("training follows it (effect distortion)"), _i == 1);
-    ck_assert_int_eq(tells("contracts space to infinity (effect unbounded)"), _i == 2);
-    ck_assert_int_eq(tells("between near and far (effect forward-facing)"), _i == 3);
+    ck_assert_int_eq(tells("contracts space to infinity (effect unbounded)"),
+                     _i % 2 == 0 && _i > 0);
+    ck_assert_int_eq(tells("between near and far (effect forward-facing)"), _i >= 3);
+    ck_assert_int_eq(tells("where an import finds these"), _i == 4);
 }
 END_TEST
 
@@ -397,7 +400,7 @@ int main(void) {
     tcase_add_loop_test(tests, heights, 0, 5);
     tcase_add_loop_test(tests, not_looked_at, 0, 2);
     tcase_add_loop_test(tests, exposures, 0, 2);
-    tcase_add_loop_test(tests, effects, 0, 4);
+    tcase_add_loop_test(tests, effects, 0, 5);
     tcase_add_test(tests, missing);
     tcase_add_test(tests, photographs_without_poses);
     suite_add_tcase(suite, tests);
