@@ -108,8 +108,8 @@ function photographs(dataset, cameras, signal) {
   return panel('Photographs', {tools: pick.node}, grid, more);
 }
 
-/** What reading a dataset found: what may be wrong with it, and folded what else was measured. */
-export function report(found) {
+/** What reading a dataset found: what may be wrong with it, and below, folded or `open`, what else was measured. */
+export function report(found, open = false) {
   const words = [plural(found.errors, 'error'), plural(found.warnings, 'warning')].join(', ');
   const row = (item) =>
       h('tr', {'data-severity': item.severity}, h('td', null, item.severity),
@@ -127,7 +127,7 @@ export function report(found) {
   return panel(
       'What the import found', null, faults.length ? list('Errors and warnings', faults, words + more) : clean,
       notes.length ?
-          h('details', null, h('summary', null, plural(notes.length, 'note')),
+          h('details', {open}, h('summary', null, plural(notes.length, 'note')),
             list('Notes', notes, 'In brackets the limits that numbers are held against')) :
           null);
 }

@@ -101,7 +101,7 @@ function foundUnposed({views, report: told}, files) {
   return [
     facts([['Photographs', `${views.train}`]]),
     h('div', {class: 'photos'}, some(photos, THUMBS).map((item) => thumbnail(item, files))),
-    report(told)
+    report(told, true)
   ];
 }
 
@@ -132,7 +132,7 @@ function found(validation, files, {take, isWhole, signal}) {
     items.length ? plot.node : null,
     h('div', {class: 'photos'}, some(items, THUMBS).map((item) => thumbnail(item, files))),
     validation.report.choices ? choices(validation.report.choices, take) : null,
-    report(validation.report)
+    report(validation.report, true)
   ];
 }
 
