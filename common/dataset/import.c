@@ -382,12 +382,12 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
                                   struct rn_problems *problems, rn_output_progress progress,
                                   void *context, struct rn_error *err) {
     struct last_part part = {progress, context, import->view_count};
-    size_t before = source->points.count;
-    enum rn_status status = rn_triangulation_solve(import->triangulation, import->options->threads,
-                                                   source, progress ? go_on : NULL, &part, err);
-    size_t count = source->points.count - before, levels = (size_t)import->levels;
-    if (status == RN_OK) status = rn_dataset_find_depths(source, err);
+    size_t count, levels = (size_t)import->levels;
+    enum rn_status status =
+        rn_triangulation_solve(import->triangulation, import->options->threads, source,
+                               progress ? go_on : NULL, &part, &count, err);
     if (status || !count) return status;
+    if ((status = rn_dataset_find_depths(source, err))) return status;
     for (size_t i = 0; i < import->view_count * levels; i++) {
         import->outputs[i].near = import->views[i / levels]->near;
         import->outputs[i].far = import->views[i / levels]->far;

@@ -389,11 +389,8 @@ static void make_room(struct rn_points *points, size_t count) {
 }
 
 // Onto the end of the dataset's.
-static enum rn_status take_found(const struct rn_triangulation *t, struct rn_points *points,
-                                 struct rn_error *err) {
-    size_t count = 0;
-    for (size_t i = 0; i < t->count; i++)
-        count += t->found_count[i];
+static enum rn_status take_found(const struct rn_triangulation *t, size_t count,
+                                 struct rn_points *points, struct rn_error *err) {
     if (!count) return RN_OK;
     make_room(points, count);
     points->found = true;
@@ -418,9 +415,12 @@ static enum rn_status take_found(const struct rn_triangulation *t, struct rn_poi
 enum rn_status rn_triangulation_solve(struct rn_triangulation *t, int threads,
                                       struct rn_dataset *dataset,
                                       bool (*progress)(void *context, size_t done, size_t total),
-                                      void *context, struct rn_error *err) {
+                                      void *context, size_t *ret_count, struct rn_error *err) {
+    *ret_count = 0;
     if (!t) return RN_OK;
     enum rn_status status =
         rn_output_run(threads, t->count, place_corners, t, progress, context, t->name, err);
-    return status ? status : take_found(t, &dataset->points, err);
+    for (size_t i = 0; i < t->count; i++)
+        *ret_count += t->found_count[i];
+    return status ? status : take_found(t, *ret_count, &dataset->points, err);
 }

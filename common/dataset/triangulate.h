@@ -29,12 +29,14 @@ void rn_triangulation_destroy(struct rn_triangulation **triangulation);
 void rn_triangulation_look(struct rn_triangulation *triangulation, const struct rn_frame *frame,
                            const struct rn_image *image);
 
-// After all were looked at: points, beside those that the dataset has, and where they were seen.
+// After all were looked at: *ret_count points, beside those that the dataset has, and where they
+// were seen; of a million of its own only some stay, as there is room for so many (RN_POINTS_MAX).
 // The same for any number of threads. `progress` as rn_dataset_import's. NULL-safe.
 // RN_ERROR_CANCELLED, RN_ERROR_NO_MEMORY.
 enum rn_status rn_triangulation_solve(struct rn_triangulation *triangulation, int threads,
                                       struct rn_dataset *dataset,
                                       bool (*progress)(void *context, size_t done, size_t total),
-                                      void *context, struct rn_error *err) RN_MUST_CHECK;
+                                      void *context, size_t *ret_count,
+                                      struct rn_error *err) RN_MUST_CHECK;
 
 #endif

@@ -134,10 +134,10 @@ END_TEST
 START_TEST(photographs_that_are_trained_on_see_them) {
     bool sees[64] = {0};
     read_place();
-    for (size_t i = 0; i < dataset->frame_count; i++)
-        dataset->frames[i].split = RN_SPLIT_TRAIN; // as of a capture without splits
-    for (size_t i = 0; i < dataset->frame_count; i++)
+    for (size_t i = 0; i < dataset->frame_count; i++) { // as of a capture without splits
+        dataset->frames[i].split = RN_SPLIT_TRAIN;
         dataset->frames[i].index = (int)i;
+    }
     dataset->view_count[RN_SPLIT_TEST] = 0;
     keep("kept", 4, 4);
     for (size_t i = 0; i < kept->points.sighting_count; i++)
@@ -237,6 +237,9 @@ START_TEST(points_of_the_source_are_kept) {
     dataset->points.count = count;
     keep("kept", 0, 4);
     size_t stayed = _i ? RN_POINTS_MAX / 2 : 1;
+    char words[64];
+    snprintf(words, sizeof words, " %zu were found", kept->points.count - stayed);
+    ck_assert(problems_tell(RN_SEVERITY_INFO, words));
     ck_assert_uint_gt(kept->points.count, stayed + 1000);
     ck_assert_double_eq(kept->points.items[0].position[2], 7);
     for (size_t i = 0; i < kept->points.sighting_count; i++)
