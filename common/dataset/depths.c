@@ -1,5 +1,5 @@
 // Near and far of photographs that look one way, where the source gives neither: by the sparse
-// points that they are known to see, as LLFF's own tool takes them (Mildenhall et al. 2019).
+// points that they are known to see.
 #include <math.h>
 #include <stdlib.h>
 

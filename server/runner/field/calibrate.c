@@ -1,5 +1,5 @@
-// A calibration: the beginning of the training that was asked for, looked at three times, which says how
-// the whole will do. Nothing of it is kept.
+// A calibration: the beginning of the training that was asked for, looked at three times, which
+// says how the whole will do. Nothing of it is kept.
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
