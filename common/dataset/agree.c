@@ -132,7 +132,9 @@ static void tell_said(const struct rn_reader *reader, double said_px, char *text
 void rn_reader_tell_reprojection(struct rn_reader *reader) {
     struct rn_reprojection found;
     const struct rn_dataset *dataset = reader->dataset;
-    if (!dataset->points.sighting_count || rn_dataset_reproject(dataset, &found, NULL)) return;
+    const struct rn_points *points = &dataset->points;
+    if (!points->sighting_count || points->found || rn_dataset_reproject(dataset, &found, NULL))
+        return;
     bool suspect = found.mean_px > SUSPECT_PX || found.unseen > found.sightings / 10;
     char said[96] = "", unseen[80] = "";
     if (found.said_px >= 0) tell_said(reader, found.said_px, said, sizeof said);

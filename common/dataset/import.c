@@ -267,7 +267,7 @@ static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *tar
             json_decref(frames);
             return NULL;
         }
-    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o s:s* s:o}", "format",
+    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o s:s* s:o* s:o}", "format",
                      RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
                      "source", "layout", dataset->format->name, "downscale",
                      rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
@@ -275,7 +275,8 @@ static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *tar
                      "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
                      "radius", bounds->radius, "source", rn_bounds_source_names[bounds->source],
                      "lie", lie_to_json(&dataset->lie), "points",
-                     dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "frames", frames);
+                     dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "points_found",
+                     dataset->points.found ? json_true() : NULL, "frames", frames);
 }
 
 static enum rn_status write_json(const struct rn_dataset *dataset, const char *target,

@@ -50,7 +50,8 @@ static enum rn_status read_points(struct rn_reader *reader, const struct rn_json
         return status;
     status = rn_points_read(path, &reader->dataset->points, err);
     free(path);
-    return status;
+    if (status || !rn_json_find(root, "points_found", &at)) return status;
+    return rn_json_boolean(root, "points_found", &reader->dataset->points.found, err);
 }
 
 static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json *object,
@@ -180,8 +181,8 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
 
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"format", "version", "name",   "source", "bounds",
-                                        "lie",    "points",  "frames", NULL};
+    static const char *const known[] = {"format", "version", "name",         "source", "bounds",
+                                        "lie",    "points",  "points_found", "frames", NULL};
     static const char *const formats[] = {RN_NATIVE_FORMAT};
     struct rn_dataset *dataset = reader->dataset;
     const char *name;

@@ -19,7 +19,8 @@
 #define CORNER 8.0     // grey levels a pixel, squared: the least of a corner's two gradients
 #define NEIGHBOURS 6   // photographs that a corner is looked for in,
 #define ALONG 0.85     // whose axes have at least this cosine with its own,
-#define TOO_NEAR 0.125 // no nearer than this share of the way to the last that could be
+#define TOO_NEAR 0.125 // no nearer than this share of the way to the last that could be,
+#define BESIDE 1e-6    // none beside another, within this share of the way to it
 #define AGREE 3        // of them must show it alike, and those that do most count
 #define ALIKE 0.85     // the correlation from which they do, of the mean of these,
 #define SEEN 0.7       // and of one
@@ -38,6 +39,7 @@ struct corner {
 struct look {
     const struct rn_frame *frame;
     struct rn_camera camera; // of the copy
+    int cell;                // pixels of the photograph a side that make one of the copy
     uint8_t *grey;
     struct corner *corners;
     int count;
@@ -102,7 +104,7 @@ enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_ever
     size_t usable = 0, kept = 0;
     for (size_t i = 0; i < dataset->frame_count; i++)
         usable += is_trained_on(&dataset->frames[i], test_every);
-    size_t stride = usable / RN_TRIANGULATE_PHOTOS + 1;
+    size_t stride = (usable + RN_TRIANGULATE_PHOTOS - 1) / RN_TRIANGULATE_PHOTOS;
     if (t) {
         t->name = dataset->name;
         t->looks = calloc(usable + 1, sizeof *t->looks);
@@ -184,6 +186,7 @@ void rn_triangulation_look(struct rn_triangulation *t, const struct rn_frame *fr
         look->grey[i] = (uint8_t)(grey[i] + 0.5f);
     free(grey);
     if (!look->grey) return;
+    look->cell = cell;
     look->camera = frame->camera;
     look->camera.width = width * cell; // what is cut off lies at the right and at the bottom
     look->camera.height = height * cell;
@@ -304,7 +307,15 @@ static double apart(const struct look *a, const struct look *b) {
     return sqrt(squares);
 }
 
-// The photographs nearest to one that look the same way, but none from the same place; their
+// Whether one that is kept stands there already: of what it shows, the other shows nothing anew.
+static bool is_kept(const struct rn_triangulation *t, const struct rn_nearest *kept,
+                    const struct look *other, double reach) {
+    for (int i = 0; i < kept->count; i++)
+        if (apart(&t->looks[kept->which[i]], other) <= reach) return true;
+    return false;
+}
+
+// The photographs nearest to one that look the same way, each from a place of its own; their
 // number.
 static int find_neighbours(const struct rn_triangulation *t, const struct look *look,
                            const struct look *ret[NEIGHBOURS]) {
@@ -316,7 +327,9 @@ static int find_neighbours(const struct rn_triangulation *t, const struct look *
         if (!other->grey || other == look) continue;
         for (int k = 0; k < 3; k++)
             along += look->camera.world_from_camera[k][2] * other->camera.world_from_camera[k][2];
-        if (along >= ALONG) rn_nearest_offer(&nearest, apart(look, other), i);
+        double away = apart(look, other);
+        if (along >= ALONG && !is_kept(t, &nearest, other, BESIDE * away))
+            rn_nearest_offer(&nearest, away, i);
     }
     for (int i = 0; i < nearest.count && count < NEIGHBOURS; i++)
         if (nearest.apart[i] > TOO_NEAR * nearest.apart[nearest.count - 1])
@@ -353,8 +366,8 @@ static bool place_corner(const struct look *look, const struct corner *corner,
         if (n >= 0 && !(correlate(&neighbours[n], &patch, nearness, at) >= SEEN)) continue;
         ret->sightings[ret->count++] =
             (struct rn_sighting){.photo = (uint32_t)by->frame->photo,
-                                 .x = (float)(at[0] / by->camera.width),
-                                 .y = (float)(at[1] / by->camera.height)};
+                                 .x = (float)(at[0] * by->cell / by->frame->camera.width),
+                                 .y = (float)(at[1] * by->cell / by->frame->camera.height)};
     }
     return true;
 }
@@ -396,8 +409,10 @@ static enum rn_status take_found(const struct rn_triangulation *t, size_t count,
     points->found = true;
     struct rn_point *items = realloc(points->items, (points->count + count) * sizeof *items);
     if (items) points->items = items;
-    points->sightings = malloc(count * (1 + NEIGHBOURS) * sizeof *points->sightings);
-    if (!items || !points->sightings)
+    struct rn_sighting *sightings =
+        realloc(points->sightings, count * (1 + NEIGHBOURS) * sizeof *sightings);
+    if (sightings) points->sightings = sightings;
+    if (!items || !sightings)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, t->name, "out of memory");
     for (size_t i = 0; i < t->count; i++)
         for (size_t k = 0; k < t->found_count[i]; k++) {

@@ -9,7 +9,7 @@
 // Photographs beyond it are passed over, evenly.
 #define RN_TRIANGULATE_PHOTOS 1000
 
-// Small grey copies of photographs, 120 KB each, and their corners. Owner: the caller;
+// Small grey copies of photographs, up to 360 KB each, and their corners. Owner: the caller;
 // rn_triangulation_destroy.
 struct rn_triangulation;
 

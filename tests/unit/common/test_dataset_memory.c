@@ -4,8 +4,10 @@
 #include <stdarg.h>
 #include <unistd.h>
 
+#include "common/dataset/triangulate.h"
 #include "common/path/path.h"
 #include "tests/unit/common/dataset_fixture.h"
+#include "tests/unit/common/wall.h"
 
 static long chosen;    // which allocation is to fail
 static long countdown; // allocations until then; 0 = none fails
@@ -120,8 +122,34 @@ static enum rn_status try_path(void) {
     return status;
 }
 
+// Without memory for a photograph or its corners it is passed over.
+static enum rn_status try_triangulation(void) {
+    enum { PHOTOGRAPHS = 4 };
+    struct rn_dataset wall = wall_dataset(PHOTOGRAPHS, 1, 80, 60);
+    struct rn_triangulation *triangulation;
+    struct rn_image images[PHOTOGRAPHS];
+    size_t found = 0;
+    for (int i = 0; i < PHOTOGRAPHS; i++)
+        images[i] = wall_photograph(&wall.frames[i].camera);
+    arm();
+    enum rn_status status = rn_triangulation_create(&wall, 0, &triangulation, &err);
+    for (int i = 0; i < PHOTOGRAPHS; i++)
+        rn_triangulation_look(triangulation, &wall.frames[i], &images[i]);
+    if (status == RN_OK)
+        status = rn_triangulation_solve(triangulation, 1, &wall, NULL, NULL, &found, &err);
+    disarm();
+    if (!injected) ck_assert_uint_gt(found, 0);
+    if (status == RN_OK) ck_assert_uint_eq(wall.points.count, found);
+    for (int i = 0; i < PHOTOGRAPHS; i++)
+        rn_image_finish(&images[i]);
+    rn_triangulation_destroy(&triangulation);
+    wall_finish(&wall);
+    return status;
+}
+
 START_TEST(every_allocation_fails) {
-    static enum rn_status (*const attempts[])(void) = {try_read, try_import, try_path};
+    static enum rn_status (*const attempts[])(void) = {try_read, try_import, try_path,
+                                                       try_triangulation};
     put_source();
     chosen = 0;
     do {
@@ -132,7 +160,8 @@ START_TEST(every_allocation_fails) {
                           rn_status_name(status), err.where, err.text);
         if (!injected) ck_assert_int_eq(status, RN_OK);
     } while (injected && chosen < 100000);
-    static const int least[] = {11, 15, 2}; // allocations that each makes, so that some did fail
+    static const int least[] = {11, 15, 2,
+                                20}; // allocations that each makes, so that some did fail
     ck_assert_int_gt(chosen, least[_i]);
 }
 END_TEST
@@ -142,7 +171,7 @@ int main(void) {
     TCase *tests = tcase_create("dataset memory");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_set_timeout(tests, 60);
-    tcase_add_loop_test(tests, every_allocation_fails, 0, 3);
+    tcase_add_loop_test(tests, every_allocation_fails, 0, 4);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }

@@ -4,7 +4,9 @@
 
 #include "common/dataset/calls.h"
 #include "common/dataset/survey.h"
+#include "common/dataset/triangulate.h"
 #include "tests/unit/common/dataset_fixture.h"
+#include "tests/unit/common/wall.h"
 
 static struct rn_dataset *kept;
 
@@ -214,7 +216,7 @@ START_TEST(sightings_of_the_source_stay_as_they_are) {
 }
 END_TEST
 
-// They lie where the poses have them.
+// They lie where the poses have them: also those of a dataset that was imported so.
 START_TEST(points_that_are_found_say_nothing_of_poses) {
     struct rn_import_options how = {.scales = 1, .threads = 1};
     struct rn_survey *survey;
@@ -225,6 +227,9 @@ START_TEST(points_that_are_found_say_nothing_of_poses) {
     ck_assert_int_eq(rn_survey_conclude(survey, dataset, &how, NULL, &found, &err), RN_OK);
     ck_assert_double_nan(found.reprojection_px);
     rn_survey_destroy(&survey);
+    rn_dataset_destroy(&kept);
+    ck_assert_int_eq(rn_dataset_read(in_folder("kept"), &problems, &kept, &err), RN_OK);
+    ck_assert(!problems_tell(RN_SEVERITY_INFO, "reprojection error"));
 }
 END_TEST
 
@@ -232,6 +237,7 @@ END_TEST
 START_TEST(points_of_the_source_are_kept) {
     size_t count = _i ? RN_POINTS_MAX : 1;
     read_place();
+    dataset->points.sightings = malloc(1); // none, as of a dataset that was imported
     dataset->points.items = calloc(count, sizeof *dataset->points.items);
     dataset->points.items[0].position[2] = 7;
     dataset->points.count = count;
@@ -244,6 +250,87 @@ START_TEST(points_of_the_source_are_kept) {
     ck_assert_double_eq(kept->points.items[0].position[2], 7);
     for (size_t i = 0; i < kept->points.sighting_count; i++)
         ck_assert_uint_ge(kept->points.sightings[i].point, stayed);
+}
+END_TEST
+
+// What is found of a wall by `count` of its photographs from one on.
+static size_t look_at(struct rn_dataset *wall, size_t first, size_t count) {
+    struct rn_triangulation *triangulation;
+    size_t found;
+    ck_assert_int_eq(rn_triangulation_create(wall, 0, &triangulation, &err), RN_OK);
+    for (size_t i = first; i < first + count; i++) {
+        struct rn_image image = wall_photograph(&wall->frames[i].camera);
+        rn_triangulation_look(triangulation, &wall->frames[i], &image);
+        rn_image_finish(&image);
+    }
+    ck_assert_int_eq(rn_triangulation_solve(triangulation, 2, wall, NULL, NULL, &found, &err),
+                     RN_OK);
+    rn_triangulation_destroy(&triangulation);
+    return found;
+}
+
+static double right_share_of(const struct rn_dataset *wall) {
+    size_t right = 0;
+    for (size_t i = 0; i < wall->points.count; i++)
+        right += fabs(wall->points.items[i].position[2] / WALL_AWAY - 1) < 0.02;
+    return (double)right / (double)wall->points.count;
+}
+
+// Also where the small copies lack a margin of the photographs.
+START_TEST(they_are_seen_where_the_photographs_show_them) {
+    struct rn_dataset wall = wall_dataset(9, 1, 799, 601);
+    struct rn_reprojection found;
+    ck_assert_uint_gt(look_at(&wall, 0, 9), 1000);
+    ck_assert_double_gt(right_share_of(&wall), 0.99);
+    ck_assert_int_eq(rn_dataset_reproject(&wall, &found, &err), RN_OK);
+    ck_assert_double_lt(found.p95_px, 1e-3);
+    wall_finish(&wall);
+}
+END_TEST
+
+// By several photographs from each place, of which one says as much as all; more of them from one
+// than are looked for.
+START_TEST(they_are_seen_from_different_places) {
+    size_t each = _i ? 14 : 4;
+    struct rn_dataset wall = wall_dataset(9 * each, each, 120, 90);
+    ck_assert_uint_gt(look_at(&wall, 0, 9 * each), 1000);
+    ck_assert_double_gt(right_share_of(&wall), 0.96);
+    const struct rn_points *points = &wall.points;
+    for (size_t i = 1; i < points->sighting_count; i++)
+        for (size_t k = i; k > 0 && points->sightings[k - 1].point == points->sightings[i].point;
+             k--)
+            ck_assert_uint_ne(points->sightings[k - 1].photo / each,
+                              points->sightings[i].photo / each);
+    wall_finish(&wall);
+}
+END_TEST
+
+// From one place nothing is known to be anywhere, and of photographs that have no insides.
+START_TEST(photographs_that_say_nothing_are_none) {
+    struct rn_dataset same = wall_dataset(16, 16, 80, 60);
+    ck_assert_uint_eq(look_at(&same, 0, 16), 0);
+    wall_finish(&same);
+    for (int side = 1; side < 12; side++) {
+        struct rn_dataset small = wall_dataset(9, 1, side, side);
+        ck_assert_uint_eq(look_at(&small, 0, 9), 0);
+        wall_finish(&small);
+    }
+    struct rn_dataset strip = wall_dataset(9, 1, RN_CAMERA_MAX_SIZE, 7);
+    ck_assert_uint_eq(look_at(&strip, 0, 9), 0);
+    wall_finish(&strip);
+}
+END_TEST
+
+// Up to so many all photographs are looked at; four beside each other are as few as say something.
+START_TEST(beyond_so_many_photographs_are_passed_over) {
+    size_t count = RN_TRIANGULATE_PHOTOS + (size_t)_i;
+    struct rn_dataset wall = wall_dataset(count, 1, 160, 120);
+    size_t found = look_at(&wall, 300, 4);
+    if (_i)
+        ck_assert_uint_eq(found, 0);
+    else
+        ck_assert_uint_gt(found, 10);
+    wall_finish(&wall);
 }
 END_TEST
 
@@ -279,6 +366,10 @@ int main(void) {
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
     tcase_add_test(c, points_that_are_found_say_nothing_of_poses);
     tcase_add_loop_test(c, points_of_the_source_are_kept, 0, 2);
+    tcase_add_test(c, they_are_seen_where_the_photographs_show_them);
+    tcase_add_loop_test(c, they_are_seen_from_different_places, 0, 2);
+    tcase_add_test(c, photographs_that_say_nothing_are_none);
+    tcase_add_loop_test(c, beyond_so_many_photographs_are_passed_over, 0, 2);
     tcase_add_test(c, looking_for_them_can_be_cancelled);
     suite_add_tcase(suite, c);
     return run_suite(suite);
