@@ -10,6 +10,7 @@ import pytest
 from fake_api import FORMATS
 from fake_pictures import png
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 
 @pytest.fixture
@@ -225,6 +226,31 @@ def test_grey16_reads_every_bit(blank):
     assert (
         read["width"] == 6 and read["values"] == values.ravel().tolist() and read["other"] is None
     )
+
+
+def test_a_depth_says_how_near_and_far_it_is(blank):
+    whole = io.BytesIO()
+    scale = PngInfo()
+    scale.add_text("ripnerf:depth_scale", "131.07")
+    Image.fromarray(np.array([[0, 1000], [2500, 600]], np.uint16)).save(whole, "PNG", pnginfo=scale)
+    told = blank.run(
+        """
+        const {pictureOf} = await load('grey16.js');
+        const {legend} = await load('outputs.js');
+        const all = [];
+        for (const [bytes, output] of [[args[0], 'depth'], [args[0], 'rgb'], [args[1], 'depth']]) {
+          const {picture, scale} = await pictureOf(new Blob([new Uint8Array(bytes)]), output);
+          const shown = legend(scale, output);
+          all.push([picture.width, scale, shown?.textContent, shown?.getAttribute('aria-label')]);
+        }
+        return all;""",
+        list(whole.getvalue()),
+        list(png(np.zeros((2, 2), np.uint16))),
+    )
+    assert told == [
+        [2, "1.2 5 dataset units", "1.25 dataset units · black: none",
+         "Colours: bright 1.2, dark 5 dataset units, black where nothing is"],
+        [2, "", None, None], [2, "", None, None]]
 
 
 def test_the_beginning_of_a_photograph_says_its_size_and_its_camera(blank):

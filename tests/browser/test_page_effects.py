@@ -122,8 +122,14 @@ def test_a_photograph_s_difference_is_shown_and_taken_back(page, fake):
     choose = ("const s = document.querySelector('.wipe-bar select'); s.value = arguments[0];"
               "s.dispatchEvent(new Event('change'));")
     page.driver.execute_script(choose, "error")
+    colours = ("return [...document.querySelectorAll('.wipe-bar .legend')].map("
+               "(scale) => [scale.textContent, scale.getAttribute('aria-label')]);")
+    assert page.run(colours) == [["064 of 255 and more", "Colours: black where equal, over red and yellow to white"]]
     # The stand-in's photographs are its pictures: pixel by pixel the same.
     page.until(lambda: "· equal" in page.all(".wipe-bar label")[0].text, "what lies between")
     assert page.run("return document.querySelector('.wipe img').src;") != before
+    page.driver.execute_script(choose, "signed")
+    page.until(lambda: page.run(colours)[0][0] == "darker −64+64 of 255 lighter", "the scale of the signs")
     page.driver.execute_script(choose, "")
+    page.until(lambda: page.run(colours) == [], "no scale")
     page.until(lambda: "equal" not in page.all(".wipe-bar label")[0].text, "the photograph again")

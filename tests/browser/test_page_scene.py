@@ -15,7 +15,7 @@ pytest.importorskip("selenium", reason="python3-selenium is not installed")
 def test_a_heat_map_says_what_its_colours_stand_for(scene, name, words):
     scene.press(name)
     scene.says(words, ".hud .legend")
-    assert scene.find(".legend").get_attribute("aria-label") == f"Colours: dark 0, bright {words}"
+    assert scene.find(".legend").get_attribute("aria-label") == f"Colours: dark 0, bright {words}, black where it is 0"
     assert scene.ink() > 50
     scene.press("colour")
     scene.until(lambda: not scene.all(".legend"), "no legend")
@@ -38,6 +38,11 @@ def test_several_trainings_are_drawn_over_each_other(page, fake):
     for label in page.until(lambda: len(found := page.all(".rivals label")) == 2 and found, "both names"):
         label.click()
     page.until(lambda: page.run(lines) == ["line other other-0", "line other other-1"], "two curves")
+    strokes = page.run("return [...document.querySelectorAll('.chart-box .line')].map("
+                       "(line) => getComputedStyle(line).stroke);")
+    assert len(set(strokes)) == 3  # this one's and theirs, each with the colour that stands by its name
+    assert strokes[:2] == page.run("return [...document.querySelectorAll('.rivals .swatch')].map("
+                                   "(mark) => getComputedStyle(mark).backgroundColor);")
     # the axis reaches as far as the longest of them
     reach = "return [...document.querySelectorAll('.chart-box text')].map((t) => Number(t.textContent));"
     assert max(x for x in page.run(reach) if x) >= 50

@@ -69,7 +69,8 @@ export async function readGrey16(blob) {
 }
 
 /**
- * Depth for the eye: near is bright, far is dark, 0 (nothing hit) is black.
+ * Depth for the eye: near is bright, far is dark, 0 (nothing hit) is black; `range` is of the nearest
+ * and the farthest, 0 to 65535, null where nothing was hit.
  * @param {{width: number, height: number, values: Uint16Array}} depth
  */
 export function depthImage({width, height, values}) {
@@ -85,14 +86,21 @@ export function depthImage({width, height, values}) {
     image.data.fill(value ? 50 + (high - value) * gain : 0, 4 * i, 4 * i + 3);
     image.data[4 * i + 3] = 255;
   });
-  return image;
+  return {image, range: high >= low ? [low, high] : null};
 }
 
 /**
- * A picture to draw, depth stretched for the eye. @param {Blob} blob @param {string} output rgb,
- * depth or alpha
+ * A picture to draw, depth stretched for the eye; `scale` tells from what to what it is, as the
+ * header X-Ripnerf-Scale does: "1.2 4.5 dataset units". @param {Blob} blob @param {string} output
+ * rgb, depth, alpha … @returns {Promise<{picture: ImageBitmap, scale: string}>}
  */
 export async function pictureOf(blob, output) {
   const depth = output === 'depth' ? await readGrey16(blob) : null;
-  return createImageBitmap(depth ? depthImage(depth) : blob);
+  if (!depth) return {picture: await createImageBitmap(blob), scale: ''};
+  const {image, range} = depthImage(depth);
+  const told = (value) => Number(((value / 65535) * depth.scale).toPrecision(3));
+  return {
+    picture: await createImageBitmap(image),
+    scale: range && depth.scale > 0 ? `${range.map(told).join(' ')} dataset units` : ''
+  };
 }

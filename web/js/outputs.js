@@ -9,12 +9,26 @@ export const OUTPUTS = [
 ];
 
 /**
- * What the colours of a heat map stand for. @param {string} scale the header X-Ripnerf-Scale,
- * "0 50 samples"; empty: nothing to tell
+ * Colours between words: what they stand for at either end.
+ * @param {string} colours a class: which ones @param {string} low @param {string} high @param
+ *     {string} label the same without seeing them
  */
-export function legend(scale) {
-  const [low, high, ...unit] = scale.split(' ');
-  if (!high) return null;
-  return h('span', {class: 'legend', role: 'img', 'aria-label': `Colours: dark ${low}, bright ${high} ${unit.join(' ')}`},
-      low, h('span', {class: 'legend-bar'}), `${high} ${unit.join(' ')}`);
+export const colourScale = (colours, low, high, label) =>
+    h('span', {class: 'legend', role: 'img', 'aria-label': `Colours: ${label}`}, low,
+      h('span', {class: `legend-bar ${colours}`}), high);
+
+/**
+ * What the colours of a heat map or of a depth stand for. @param {string} scale the header
+ * X-Ripnerf-Scale, "0 50 samples"; empty: nothing to tell @param {string} output of the API
+ */
+export function legend(scale, output) {
+  const [low, most, ...unit] = scale.split(' ');
+  if (!most) return null;
+  const high = `${most} ${unit.join(' ')}`;
+  return output === 'depth' ?
+      colourScale(
+          'depth-bar', low, `${high} · black: none`,
+          `bright ${low}, dark ${high}, black where nothing is`) :
+      colourScale(
+          'heat-bar', low, `${high} · black: 0`, `dark ${low}, bright ${high}, black where it is 0`);
 }

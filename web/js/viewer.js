@@ -185,7 +185,7 @@ export function createViewer(canvas, host, signal) {
         learn(level, body.camera, facts);
         pump();
       }
-      const picture = await pictureOf(blob, body.output);
+      const {picture, scale} = await pictureOf(blob, body.output);
       // Nobody looks any more, or it is of what was asked for before.
       if (signal.aborted || flight.stop.signal.aborted) return picture.close();
       if (level > COARSE) learn(level, body.camera, facts);
@@ -198,7 +198,9 @@ export function createViewer(canvas, host, signal) {
         width: body.camera.width,
         height: body.camera.height,
         level,
-        bytes: blob.size
+        output: body.output,
+        scale: facts.scale || scale,
+        blob
       });
     } catch (error) {
       if (signal.aborted) return;

@@ -116,8 +116,10 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
         !ms ? '' :
         !last || last.askedMs !== ms ?
               `within ${milliseconds(ms)}${promise ? `: about ${decibel(promise, 1)} at the curve’s size` : ''}` :
-              `${Number.isFinite(last.expectedPsnr) ? `${decibel(last.expectedPsnr, 1)} expected` : 'accuracy not known'}; took ${
-                  milliseconds(last.spentMs)} of ${milliseconds(ms)}${last.late ? ', late' : ''}: ${last.setting.replaceAll(',', ', ')}`);
+              `${curve ? '○ ' : ''}this view at ${last.width} × ${last.height}: ${
+                  Number.isFinite(last.expectedPsnr) ? `${decibel(last.expectedPsnr, 1)} expected` : 'accuracy not known'}; took ${
+                  milliseconds(last.spentMs)} of ${milliseconds(ms)}${last.late ? ', late' : ''}; ${
+                  last.setting === 'full' ? 'nothing left out' : `setting ${last.setting.replaceAll(',', ', ')}`}`);
   }
 
   async function load() {

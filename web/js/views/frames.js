@@ -72,7 +72,8 @@ export function framesPanel(job, signal) {
       pictures.set(
           index,
           api.frame(job.id, index, signal)
-              .then((blob) => pictureOf(blob, job.options?.output ?? 'rgb')));
+              .then((blob) => pictureOf(blob, job.options?.output ?? 'rgb'))
+              .then(({picture}) => picture));
       if (pictures.size > kept()) forget(pictures.keys().next().value);
     }
     try {

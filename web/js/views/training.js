@@ -72,6 +72,7 @@ export function trainingPanel(sceneId, signal, past) {
   const clocks = h('div');
   const levels = h('div');
   const rivals = createRivals(sceneId, () => update(), signal);
+  const kept = h('p', {class: 'quiet', hidden: true}, '◇ leads to the scene as it was then.');
   let points = [];
   let marks = [];
   let followed = null;
@@ -119,6 +120,7 @@ export function trainingPanel(sceneId, signal, past) {
         look: (seconds) => look(scene, seconds)
       }
     });
+    kept.hidden = !marks.length || !points.length || !may('render');
     bar.node.hidden = job?.state === 'failed';
     rivals.offer(scene);
     showProblem(job, scene);
@@ -175,7 +177,7 @@ export function trainingPanel(sceneId, signal, past) {
   watch(update, signal);
   if (past) past.changed = update;
   return panel(
-      'Training', {tools: mark}, trouble, buttons.node, bar.node, chart, rivals.node,
+      'Training', {tools: mark}, trouble, buttons.node, bar.node, chart, kept, rivals.node,
       h('dl', {class: 'stats'},
         stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
       stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels),

@@ -57,6 +57,7 @@ export function createViewport(scene, cameras, host, signal) {
   let pose = null;      // a recorded key's exact pose, until the camera is moved
   let optics = {};      // and its effects
   let at = host.at ?? null;  // training seconds that are looked back at
+  let refined = null;  // the picture that is shown, as it came: a canvas has pixels of its own
 
   const canvas = h('canvas', {class: 'picture'});
   const over = h('canvas', {class: 'overlay', 'aria-hidden': 'true'});
@@ -258,7 +259,7 @@ export function createViewport(scene, cameras, host, signal) {
     const seen = orbit;
     const chosen = rival.value;
     const blob = await pictureFrom(other.id, then);
-    if (seen === orbit && rival.value === chosen) wipe.lay(blob, other.name);
+    if (seen === orbit && rival.value === chosen) wipe.lay(blob, other.name, false, refined);
   }
   /** What this camera sees in a scene, in full; `then`: as it was after so many seconds of training. */
   async function pictureFrom(id, then) {
@@ -276,6 +277,7 @@ export function createViewport(scene, cameras, host, signal) {
 
   let toldAt = -Infinity;
   function showFacts(facts) {
+    refined = facts.level === 2 && facts.output === 'rgb' ? facts.blob : null;
     if (facts.level === 2) host.onRefined(facts);
     if (facts.level === 2 && rival.value) beside().catch(toast);
     stage.dataset.ready = 'true';
@@ -297,7 +299,7 @@ export function createViewport(scene, cameras, host, signal) {
           Number.isFinite(facts.samples) ? `${compact(facts.samples)} samples` : ''
         ].filter(Boolean)
             .join('  ·  '));
-    const scale = legend(facts.scale);
+    const scale = legend(facts.scale, facts.output);
     if (scale) hud.append(scale);
   }
 
@@ -429,7 +431,7 @@ export function createViewport(scene, cameras, host, signal) {
     besideFull: async () => {
       const seen = orbit;
       const blob = await pictureFrom(scene.id, at);
-      if (seen === orbit) wipe.lay(blob, 'The full picture', true);
+      if (seen === orbit) wipe.lay(blob, 'The full picture', true, refined);
     },
     /** Training seconds to look back at; null: as it is now. */
     set at(then) {

@@ -3,9 +3,18 @@
 import {api} from '../api.js';
 import {differenceMap} from '../difference.js';
 import {decibel} from '../format.js';
-import {h, text} from '../dom.js';
+import {fill, h, text} from '../dom.js';
+import {colourScale} from '../outputs.js';
 
 const MOST_SIDE = 1280;  // of a view that is rendered to be compared, pixels
+// What the colours of a difference stand for (difference.js): full at a quarter of a channel's range.
+const SCALES = {
+  signed: () => colourScale(
+      'signed-bar', 'darker −64', '+64 of 255 lighter',
+      'blue where the rendering is darker, red where it is lighter, white where equal'),
+  error: () => colourScale(
+      'error-bar', '0', '64 of 255 and more', 'black where equal, over red and yellow to white')
+};
 
 /**
  * @param {any} scene @param {HTMLCanvasElement} canvas what it is laid over
@@ -27,6 +36,7 @@ export function createWipe(scene, canvas, signal) {
   const kind = h('select', {'aria-label': 'What is laid over', onchange: () => compare()}, [
     ['', 'as it is'], ['signed', 'lighter, darker'], ['error', 'error']
   ].map(([value, words]) => h('option', {value}, words)));
+  const colours = h('span');
   const bar =
       h('div', {class: 'wipe-bar'}, label, range, kind,
         h('button', {
@@ -35,7 +45,8 @@ export function createWipe(scene, canvas, signal) {
           'aria-label': 'Close the comparison',
           onclick: () => hide()
         },
-          '×'));
+          '×'),
+        colours);
   const node =
       h('div', {class: 'wipe', hidden: true}, h('div', {class: 'wipe-picture'}, image, own, line), bar);
   for (const type of ['pointerdown', 'wheel', 'keydown'])
@@ -79,7 +90,7 @@ export function createWipe(scene, canvas, signal) {
     blink.setAttribute('aria-pressed', 'false');
     place();
   }
-  bar.insertBefore(blink, bar.lastChild);
+  kind.after(blink);
 
   function place() {
     image.style.clipPath = `inset(0 ${100 - range.value}% 0 0)`;
@@ -92,6 +103,7 @@ export function createWipe(scene, canvas, signal) {
     node.hidden = true;
     laid = null;
     kind.value = '';
+    fill(colours);
     put(image, null);
     put(own, null);
   }
@@ -120,6 +132,7 @@ export function createWipe(scene, canvas, signal) {
   async function compare(told = false) {
     const mine = laid;
     if (!mine) return;
+    fill(colours, SCALES[kind.value]?.());
     put(image, mine.blob);
     text(label, mine.words);
     if (!kind.value && !told) return;
