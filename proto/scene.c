@@ -31,6 +31,7 @@ static const struct rn_field_spec effect[] = {
     RN_F_NUMBER(S, threshold, RN_REQUIRED | RN_NULLABLE, -INFINITY, INFINITY),
     RN_F_TEXT(S, number_text, 0, NULL),
     RN_F_TEXT(S, threshold_text, 0, NULL),
+    {.name = "below", .type = RN_TYPE_TRUTH, .offset = offsetof(S, below)},
     RN_F_TEXT(S, reason, RN_REQUIRED, NULL),
     {.name = "measurable", .type = RN_TYPE_TRUTH, .offset = offsetof(S, measurable)},
 };

@@ -91,7 +91,12 @@ static void print_effects(const struct rn_scene_description *description) {
         const struct rn_effect_entry *effect = &description->effects[i];
         printf("  %-16s %-8s  %s", effect->name,
                effect->decided ? effect->on ? "on" : "off" : "not yet", effect->reason);
-        if (*effect->threshold_text) printf(" (threshold %s)", effect->threshold_text);
+        if (*effect->threshold_text)
+            printf(" (%s %s)",
+                   effect->below < 0   ? "threshold"
+                   : effect->below > 0 ? "on if at most"
+                                       : "on if over",
+                   effect->threshold_text);
         putchar('\n');
     }
 }

@@ -442,8 +442,11 @@ def test_an_effect_is_told_in_its_own_unit(client, scene):
     for effect in contract.example("Scene")["effects"]:
         line = next(line for line in text.splitlines() if f" {effect['name']} " in line)
         assert effect["reason"] in line
-        if effect["threshold"] is not None:
-            assert f"(threshold {effect['threshold_text']})" in line
+        if "below" in effect:
+            side = "at most" if effect["below"] else "over"
+            assert f"(on if {side} {effect['threshold_text']})" in line
+        else:
+            assert "(on" not in line and "(threshold" not in line
 
 
 def test_what_is_not_there(client, daemon):

@@ -253,18 +253,19 @@ def test_effects_are_told_in_their_units(page, fake):
     numbers = page.until(
         lambda: [e.text.split("\n") for e in page.all(".effect .number")], "the effects"
     )
-    assert ["8 times", "threshold 1.41 times"] in numbers
-    assert numbers[0][1] == "threshold 0 %" and numbers[3] == ["–", "threshold 2/255"]
+    assert ["8 times", "on if over 1.41 times"] in numbers
+    assert ["8 times"] in numbers  # cones are no question of a number
+    assert numbers[0][1] == "on if over 0 %" and numbers[3] == ["–", "on if over 2/255"]
 
 
 def test_effects_that_nothing_calls_for_are_folded(page, fake):
     page.open(fake("busy").url + "#/scene/sphere-draft")
-    page.press("1 that the photographs do not call for")
+    page.press("3 that the photographs do not call for")
     page.says("Distortion", ".effects")
-    assert sum("off" in e.text for e in page.all("details .effect")) == 1
-    page.press("1 that the photographs do not call for")
+    assert sum("off" in e.text for e in page.all("details .effect")) == 3
+    page.press("3 that the photographs do not call for")
     shown = [e.text for e in page.all(".effect") if e.text]  # what is folded has none
-    assert len(shown) == len(page.all(".effect")) - 1 and not any("Distortion" in text for text in shown)
+    assert len(shown) == len(page.all(".effect")) - 3 and not any("Distortion" in text for text in shown)
 
 
 def test_what_may_be_wrong_with_a_dataset_comes_first(page, fake):

@@ -78,7 +78,28 @@ def test_an_effect_that_is_off_over_its_threshold_says_why(page, fake):
         lambda: next((e for e in page.all(".effect") if "Anisotropy" in e.text), None), "the effect"
     )
     assert "off" in row.text and "1.93 times" in row.text and "without a scale pyramid" in row.text
-    assert "and the rest that its reason names allows it" in page.text("[aria-label=Effects]")
+    assert "and what else its reason names allows it" in page.text("[aria-label=Effects]")
+
+
+def test_an_effect_says_on_which_side_of_its_threshold_it_is_on(page, fake):
+    api = fake("busy")
+    effects = {effect["name"]: effect for effect in api.world.scenes[0]["effects"]}
+    around = effects["forward-facing"]  # 52 degrees are over its threshold, and no reason for it
+    around.update(number=52.1, number_text="52.1 degrees")
+    page.open(api.url + "#/scene/sphere-draft")
+    shown = "return Object.fromEntries([...document.querySelectorAll('.effect')].map((e) =>" \
+            "[e.querySelector('strong').textContent, [e.querySelector('.number').textContent, Boolean(e.closest('details'))]]));"
+    told = page.until(lambda: page.run(shown), "the effects")
+    assert told["Forward facing"] == ["52.1 degreeson if at most 30 degrees", True]
+    assert told["Scale pyramid"] == ["8 timeson if over 1.41 times", False]
+    around.update(number=29.9, number_text="29.9 degrees")  # for it, and something else is against it
+    page.driver.refresh()
+    told = page.until(lambda: page.run(shown), "the effects")
+    assert told["Forward facing"] == ["29.9 degreeson if at most 30 degrees", False]
+    for effect in effects.values():
+        effect.pop("below", None)  # as an older build described them
+    page.driver.refresh()
+    page.until(lambda: page.run(shown).get("Scale pyramid") == ["8 timesthreshold 1.41 times", False], "a threshold")
 
 
 def test_how_long_measuring_takes_is_told_before(page, fake):

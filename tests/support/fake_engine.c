@@ -245,6 +245,10 @@ void rn_effect_text(enum rn_effect effect, double number, char *text, size_t cap
     if (!isnan(number)) snprintf(text, capacity, "%g pretended", number);
 }
 
+int rn_effect_below(enum rn_effect effect) {
+    return effect == RN_EFFECT_FORWARD_FACING;
+}
+
 bool rn_effect_is_optional(enum rn_effect effect, bool on) {
     (void)effect;
     return on;

@@ -23,9 +23,9 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->on = asked && e->field->finest_cone > 0;
     if (r->on)
         snprintf(r->reason, sizeof r->reason,
-                 "pixels of pictures wider than the finest trained on become several cones; the "
-                 "widest trained on is %.2f times as wide",
-                 exp2(r->number));
+                 "pixels of pictures over %.2f times as wide as the finest trained on become several "
+                 "cones; the widest trained on is %.2f times as wide",
+                 RN_CONES_RATIO, exp2(r->number));
     else
         snprintf(r->reason, sizeof r->reason, "%s",
                  asked ? "no training pixel's cone has a width" : "the configuration asks for one");
@@ -38,6 +38,7 @@ static void settle(const struct rn_evidence *e) {
 
 const struct rn_effect_row rn_effect_cones = {
     .unit = {" times", 0},
+    .side = RN_EFFECT_EITHER, // a picture's pixels are held against the threshold
     .detect = detect,
     .settle = settle,
     .turn = measure,

@@ -116,6 +116,11 @@ void rn_effect_text(enum rn_effect effect, double number, char *text, size_t cap
     if (!isnan(number)) snprintf(text, capacity, "%.3g%s", told, unit->name);
 }
 
+int rn_effect_below(enum rn_effect effect) {
+    enum rn_effect_side side = rows[effect]->side;
+    return side == RN_EFFECT_EITHER ? -1 : side == RN_EFFECT_AT_MOST;
+}
+
 bool rn_effect_is_optional(enum rn_effect effect, bool on) {
     return on ? rows[effect]->optional : rows[effect]->optional_when_off;
 }

@@ -43,10 +43,13 @@ struct rn_effect_unit {
     const char *name; // behind the number: " dB"
     double factor;    // that the number is told times; 0: as 2 to the power of it
 };
+// On which side of its threshold a number calls for an effect; neither: no number decides.
+enum rn_effect_side { RN_EFFECT_OVER, RN_EFFECT_AT_MOST, RN_EFFECT_EITHER };
 
 // One effect. A hook that it does not have is NULL.
 struct rn_effect_row {
     struct rn_effect_unit unit;
+    enum rn_effect_side side;
     // What it brings can be measured: beside a training without it, and where it is off beside one
     // with it.
     bool optional, optional_when_off;

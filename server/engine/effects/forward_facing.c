@@ -172,6 +172,7 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
 
 const struct rn_effect_row rn_effect_forward_facing = {
     .unit = {" degrees", 1},
+    .side = RN_EFFECT_AT_MOST,
     .optional = true,
     .detect = detect,
     .settle = settle,

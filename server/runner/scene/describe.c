@@ -57,11 +57,13 @@ static struct rn_effect_entry effect_entry(enum rn_effect which,
                                     .decided = effect->decided,
                                     .number = effect->number,
                                     .threshold = effect->threshold,
+                                    .below = rn_effect_below(which),
                                     .measurable = rn_effect_is_optional(which, effect->on)};
     snprintf(entry.name, sizeof entry.name, "%s", effect->name);
     snprintf(entry.reason, sizeof entry.reason, "%s", effect->reason);
     rn_effect_text(which, effect->number, entry.number_text, sizeof entry.number_text);
-    rn_effect_text(which, effect->threshold, entry.threshold_text, sizeof entry.threshold_text);
+    if (entry.below >= 0)
+        rn_effect_text(which, effect->threshold, entry.threshold_text, sizeof entry.threshold_text);
     return entry;
 }
 

@@ -42,11 +42,16 @@ const row = (effect, gain) =>
         gain ? h('p', {class: 'effect-gain'}, gainWords(gain)) : null),
       h('span', {class: 'number'}, effect.number_text ?? '–',
         effect.threshold_text ?
-            h('small', {class: 'line'}, `threshold ${effect.threshold_text}`) :
+            h('small', {class: 'line'}, `${condition(effect)} ${effect.threshold_text}`) :
             null));
 
+/** How the number is held against the threshold; not known of scenes of an older build. */
+const condition = ({below}) =>
+    (below === undefined ? 'threshold' : below ? 'on if at most' : 'on if over');
+
 /** Off, and nothing that the photographs call for. */
-const isIdle = ({decided, on, number, threshold}) => decided && !on && !(number > threshold);
+const isIdle = ({decided, on, number, threshold, below}) =>
+    decided && !on && !(below ? number !== null && number <= threshold : number > threshold);
 
 /**
  * @param {any} scene @param {AbortSignal} signal
@@ -80,7 +85,7 @@ export function createEffects(scene, signal) {
     measure.hidden = !may('train') || Boolean(now.viewing) ||
         !now.effects.some((effect) => effect.measurable !== false);
     fill(words, now.effects.length ?
-        'On where the number is over its threshold and the rest that its reason names allows it. What is off is not computed.' :
+        'An effect is on if its number is as said below it and what else its reason names allows it. What is off is not computed.' :
         'Decided when training begins.');
     const told = measured ?
         `Gains: ${plural(measured.seeds, 'pair')} of trainings of ${
