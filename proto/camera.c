@@ -14,6 +14,14 @@ static const struct rn_field_spec dataset_camera[] = {
 const struct rn_table rn_dataset_camera_table = RN_TABLE(S, "a dataset's camera", dataset_camera);
 #undef S
 
+#define S struct rn_scene_start
+static const struct rn_field_spec scene_start[] = {
+    RN_F_CAMERA(S, camera, RN_REQUIRED),
+    RN_F_NUMBERS(S, up, RN_REQUIRED, -1.01, 1.01),
+};
+const struct rn_table rn_scene_start_table = RN_TABLE(S, "where to begin", scene_start);
+#undef S
+
 static void put_lens(struct rn_buf *buf, const struct rn_camera *camera) {
     const struct rn_lens_model *model = &rn_lens_models[camera->lens];
     rn_buf_printf(buf, ",\"lens\":{\"model\":\"%s\"", rn_lens_names[camera->lens]);

@@ -14,4 +14,11 @@ struct rn_dataset_camera {
 };
 extern const struct rn_table rn_dataset_camera_table;
 
+// Where to begin to look at a scene.
+struct rn_scene_start {
+    struct rn_camera camera;
+    double up[3];
+};
+extern const struct rn_table rn_scene_start_table;
+
 #endif

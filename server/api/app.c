@@ -39,6 +39,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/scenes/{id}", OF_SCENE, 0, rn_get_scene, NULL},
     {DELETE, "/v1/scenes/{id}", TRAIN, 0, rn_delete_scene, NULL},
     {POST, "/v1/scenes/{id}/render", RENDER | OF_SCENE, RN_MAX_BODY, rn_render_scene, NULL},
+    {GET, "/v1/scenes/{id}/start", OF_SCENE, 0, rn_get_start, NULL},
     {GET, "/v1/scenes/{id}/curve", OF_SCENE, 0, rn_get_curve, NULL},
     {POST, "/v1/scenes/{id}/curve", RENDER, RN_MAX_BODY, rn_measure_curve, NULL},
     {GET, "/v1/scenes/{id}/effects", OF_SCENE, 0, rn_get_effects, NULL},

@@ -136,6 +136,7 @@ RN_HANDLER(rn_begin_upload_part);
 RN_HANDLER(rn_take_upload_part);
 RN_HANDLER(rn_list_cameras); // views.c
 RN_HANDLER(rn_list_points);
+RN_HANDLER(rn_get_start);
 RN_HANDLER(rn_get_image);
 RN_HANDLER(rn_get_model);
 RN_HANDLER(rn_list_scenes); // scenes.c

@@ -10,13 +10,13 @@
 #include "proto/job.h"
 #include "server/api/app.h"
 
-// The dataset that the path names, kept for the next request. NULL: replied with an error.
-static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_request *request,
-                                             struct rn_reply *reply) {
+// The dataset of that name or id, kept for the next request. NULL: replied with an error.
+static const struct rn_dataset *open_named(struct rn_app *app, const char *name,
+                                           struct rn_reply *reply) {
     struct rn_error err = {0};
     struct rn_dataset_row row;
-    enum rn_status status = rn_store_resolve(app->store, &rn_datasets, RN_ID_DATASET,
-                                             rn_request_param(request, 0), &row, &err);
+    enum rn_status status =
+        rn_store_resolve(app->store, &rn_datasets, RN_ID_DATASET, name, &row, &err);
     if (rn_api_failed(status, &err, reply)) return NULL;
     if (app->dataset == NULL || strcmp(app->dataset_id, row.id) != 0) {
         char *folder = rn_store_path(app->store, "datasets/%s", row.id);
@@ -28,6 +28,12 @@ static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_reque
     }
     rn_row_finish(&rn_datasets, &row);
     return rn_api_failed(status, &err, reply) ? NULL : app->dataset;
+}
+
+// The one that the path names.
+static const struct rn_dataset *open_dataset(struct rn_app *app, struct rn_request *request,
+                                             struct rn_reply *reply) {
+    return open_named(app, rn_request_param(request, 0), reply);
 }
 
 static enum rn_status encode_frame(const struct rn_frame *frame, char **ret_json,
@@ -84,6 +90,47 @@ void rn_list_cameras(void *context, struct rn_request *request, struct rn_reply 
         rn_reply_bytes(reply, 200, "application/json", bytes, size);
     }
     rn_buf_finish(&json);
+}
+
+// Where to begin to look at a scene: the first test view, else the first view.
+static void reply_start(const struct rn_dataset *dataset, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    const double *up = dataset->lie.up;
+    const struct rn_frame *first = NULL;
+    char *json = NULL;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        bool better = !first || (frame->split == RN_SPLIT_TEST && first->split != RN_SPLIT_TEST);
+        if (frame->scale == 0 && better) first = frame;
+    }
+    if (first == NULL) {
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the scene's dataset has no view");
+        return;
+    }
+    struct rn_scene_start start = {.camera = first->camera, .up = {up[0], up[1], up[2]}};
+    enum rn_status status = rn_encode(&rn_scene_start_table, &start, &json, NULL, &err);
+    if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
+}
+
+void rn_get_start(void *context, struct rn_request *request, struct rn_reply *reply) {
+    static const char *const known[] = {NULL};
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    struct rn_scene_row row;
+    enum rn_status status = rn_request_check_query(request, known, &err);
+    if (status == RN_OK)
+        status = rn_store_resolve(app->store, &rn_scenes, RN_ID_SCENE, rn_request_param(request, 0),
+                                  &row, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    const struct rn_dataset *dataset = NULL;
+    if (*row.dataset)
+        dataset = open_named(app, row.dataset, reply);
+    else
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND,
+                         "the scene '%s' has no photographs here, whose cameras would be known",
+                         row.name);
+    rn_row_finish(&rn_scenes, &row);
+    if (dataset != NULL) reply_start(dataset, reply);
 }
 
 // At most so many points: evenly of all there are.

@@ -83,6 +83,8 @@ def test_dataset_by_upload(shared):
     cameras = shared.get("/v1/datasets/data/cameras", query={"split": "test"}).json["items"]
     assert [item["name"] for item in cameras] == ["r_0", "r_1", "r_2", "r_3"]
     assert len(shared.get("/v1/datasets/data/cameras").json["items"]) == 18
+    start = shared.get("/v1/scenes/ready/start").json
+    assert start == {"camera": cameras[0]["camera"], "up": pytest.approx(dataset["up"])}
     picture = shared.get("/v1/datasets/data/images/test/2")
     assert Image.open(io.BytesIO(picture.body)).size == (16, 16)
     for path in ("test/4", "val/99"):

@@ -4,6 +4,8 @@ import hashlib
 import json
 import re
 import struct
+import urllib.error
+import urllib.request
 
 import pytest
 
@@ -19,7 +21,9 @@ CAMERA = {"camera": {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "ax
 def fixture_elsewhere(build, tmp_path_factory):
     """Another machine: another daemon, with no dataset."""
     with Daemon(build, tmp_path_factory.mktemp("elsewhere") / "daemon") as daemon:
-        yield Client(build / "client" / "ripnerf", tmp_path_factory.mktemp("there"), daemon.url)
+        client = Client(build / "client" / "ripnerf", tmp_path_factory.mktemp("there"), daemon.url)
+        client.url = daemon.url
+        yield client
 
 
 def export(client, out, *options, code=0):
@@ -59,6 +63,9 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
 
     made = elsewhere.json("import", file, "--name", "light")
     assert made["dataset"] is None and made["viewing"]["bits"] == said["bits"]
+    with pytest.raises(urllib.error.HTTPError, match="404") as refusal:
+        urllib.request.urlopen(f"{elsewhere.url}/v1/scenes/light/start")
+    assert "has no photographs here" in json.load(refusal.value)["detail"]
     assert made["viewing"]["parameters_sha256"] == ball.json("show", "ball")["parameters_sha256"]
     assert made["parameters_sha256"] == ball.json("show", "light")["parameters_sha256"]
     shown = elsewhere.run("show", "light").stdout

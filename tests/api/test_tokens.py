@@ -112,6 +112,7 @@ def test_a_link_shows_one_thing(guarded):
     token = link["token"]
     for reference in ("ready", scene["id"]):
         assert asked(guarded, token, "GET", f"/v1/scenes/{reference}") == 200
+        assert asked(guarded, token, "GET", f"/v1/scenes/{reference}/start") == 200
         assert asked(guarded, token, "POST", f"/v1/scenes/{reference}/render", json_body=RENDER) == 200
     for method, path, body in (
             ("GET", "/v1/scenes", None), ("GET", "/v1/scenes/other", None),

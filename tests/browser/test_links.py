@@ -61,7 +61,13 @@ def test_a_link_opens_a_scene_and_nothing_else(page, client):
     assert "Field of view" in words and "Train" not in words and "Record key" not in words
     assert "R resets." in words and "records a key" not in words
     assert not page.run("return document.getElementById('token-dialog').open;")
-    assert page.complaints() == []
+    for hash in ("#/", "#/jobs"):
+        page.run(f"location.hash = {hash!r};")
+        page.says("You came by a link to one scene, ball, to look at and no more.")
+        assert "No datasets" not in page.find("main").text and "No jobs" not in page.find("main").text
+    page.press("Look at it")
+    page.says("refined", ".hud")
+    assert refusals(page) == [] and page.complaints() == []
     client("token", "revoke", "guest")
     token = link.split("#t=")[1].split("/")[0]
     request = urllib.request.Request(client.url + "/v1/info",
@@ -78,6 +84,33 @@ def test_a_link_opens_the_pictures_of_a_path(page, client, tmp_path):
     page.open(client("token", "make", "film", "--job", job))
     page.says("frame 2", ".player")
     assert "Cancel" not in page.find("main").text and page.complaints() == []
+    page.run("location.hash = '#/';")
+    page.says("You came by a link to one camera path, ball, to look at and no more.")
+    page.press("See its pictures")
+    page.says("frame 2", ".player")
+
+
+def begins_at(page):
+    """The pose of the picture that Reset leads to."""
+    page.says("refined", ".hud")
+    page.run("const ask = window.fetch; window.asked = [];"
+             "window.fetch = (url, what) => {"
+             " if (String(url).endsWith('/render')) window.asked.push(JSON.parse(what.body).camera.world_from_camera);"
+             " return ask(url, what); };")
+    page.press("Reset")
+    return page.until(lambda: page.run("return window.asked[0];"), "a picture")
+
+
+def test_a_link_begins_where_the_photographs_do(page, client):
+    """And with their up: from elsewhere nothing of a place may be seen, and a shared camera is another."""
+    client("import", "photos", "--name", "tilted-data", "--up", "y")
+    client("train", "tilted-data", "--name", "tilted", "--max-steps", "20", "--wait")
+    page.open(client("token", "make", "guest", "--scene", "tilted"))
+    as_guest = begins_at(page)
+    page.run("localStorage.clear(); sessionStorage.clear();")
+    page.open(f"{client.url}/#t=a-token-of-this-test/scene/tilted")
+    page.says("Parameters")
+    assert as_guest == begins_at(page) and as_guest[1][1] < 0  # down is not along the given up
 
 
 def test_the_page_makes_a_link(page, client):

@@ -179,6 +179,8 @@ export const api = {
   scenes: (signal) => list('v1/scenes', signal),
   scene: (id, signal) => json('GET', `v1/scenes/${name(id)}`, {signal}),
   removeScene: (id) => request('DELETE', `v1/scenes/${name(id)}`),
+  /** Where to begin to look: {camera, up}. */
+  start: (id, signal) => json('GET', `v1/scenes/${name(id)}/start`, {signal}),
   curve: (id, signal) => json('GET', `v1/scenes/${name(id)}/curve`, {signal}),
   measureCurve: (id) => json('POST', `v1/scenes/${name(id)}/curve`, {json: {}}),
   effects: (id, signal) => json('GET', `v1/scenes/${name(id)}/effects`, {signal}),

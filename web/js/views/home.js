@@ -1,13 +1,14 @@
 // Scenes, datasets, what runs, and a place to add a dataset.
 import {api} from '../api.js';
 import {fill, follow, h, lazyImage, text} from '../dom.js';
-import {isActive, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
+import {isActive, isVisitor, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
 import {cameraOf, defaultOrbit} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
 import {chip, confirmFirst, empty, panel, scroller, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
 import {jobRow} from './jobs.js';
 import {uploadPanel} from './upload.js';
+import {showVisit} from './visit.js';
 
 export function homeView(root, {signal}) {
   const scenes = h('div', {class: 'cards'});
@@ -40,6 +41,7 @@ export function homeView(root, {signal}) {
         side));
 
   watch((state) => {
+    if (state.loaded && isVisitor()) return showVisit(root, state);
     const active = state.jobs.filter(isActive);
     runningBox.hidden = !active.length;
     follow(running, active, (job) => job.id, jobRow);

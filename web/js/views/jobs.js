@@ -1,7 +1,7 @@
 // All jobs, and the row of one job that other views show too.
 import {api} from '../api.js';
 import {fill, follow, h, text} from '../dom.js';
-import {isActive, mayChange, putJob, watch} from '../store.js';
+import {isActive, isVisitor, mayChange, putJob, watch} from '../store.js';
 import {ago, decibel, fixed, milliseconds, plural, seconds, whole} from '../format.js';
 import {
   action,
@@ -19,6 +19,7 @@ import {
 import {go, link} from '../router.js';
 import {exportWords} from './exports.js';
 import {doctorWords} from './stability.js';
+import {showVisit} from './visit.js';
 
 const NAMES = {
   pause: 'Pause',
@@ -172,6 +173,7 @@ export function jobsView(root, {signal}) {
   let latest = null;
   const show = (state) => {
     latest = state;
+    if (state.loaded && isVisitor()) return showVisit(root, state);
     const jobs =
         state.jobs.filter((job) => !filter.control.value || job.type === filter.control.value);
     if (!state.loaded)

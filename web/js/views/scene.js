@@ -44,7 +44,9 @@ export async function sceneView(root, {id, query, signal}) {
       if (isVisitor()) {
         setChip(mark, scene.state);
         fill(title, scene.name);
-        fill(body, visitedScene(scene, query, signal));
+        const start = await api.start(scene.id, signal).catch(() => null);
+        if (signal.aborted) return;
+        fill(body, visitedScene(scene, start, query, signal));
         return;
       }
       fill(
@@ -62,8 +64,11 @@ export async function sceneView(root, {id, query, signal}) {
   await load();
 }
 
-/** What a link shows: the scene at any camera, as who shared it saw it at first. */
-function visitedScene(scene, query, signal) {
+/**
+ * What a link shows: the scene at any camera, as who shared it saw it at first, else from where a
+ * photograph was taken; `start` is null where that is not known.
+ */
+function visitedScene(scene, start, query, signal) {
   const training = () => find(state.scenes, scene.id)?.state === 'training';
   const failed = () => find(state.scenes, scene.id)?.state === 'failed';
   const view = createViewport(
@@ -71,6 +76,8 @@ function visitedScene(scene, query, signal) {
         live: training,
         failed,
         onRefined: () => {},
+        start: start?.camera,
+        up: start?.up,
         camera: query?.get('camera'),
         crop: query?.get('crop'),
         at: Number(query?.get('at')) || null,

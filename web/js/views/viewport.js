@@ -39,9 +39,10 @@ const TOLD_MS = 250;  // figures of pictures of a moving camera are told no more
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
  * @param {{live: () => boolean, failed: () => boolean, onKey?: () => void, onTake?: () => void,
  *     onPick?: (id: string) => void, camera: string|null, crop?: string|null, at?: number|null,
- *     onNow?: () => void, up?: number[]}}
+ *     onNow?: () => void, start?: any, up?: number[]}}
  *     host onTake: the chosen key shall have this camera; onPick: a key was pointed at; camera: the
- *     address's; at: training seconds to look back at, and what leads back; up: the dataset's
+ *     address's; at: training seconds to look back at, and what leads back; start: a camera to begin
+ *     at where no cameras are given; up: the dataset's
  * @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
@@ -49,8 +50,9 @@ export function createViewport(scene, cameras, host, signal) {
   const full = cameras.filter((item) => item.scale === 0);
   const up = host.up ?? upOf(full.map((item) => item.camera));
   const orbitAt = (item) => orbitOfPose(openCvPose(item.camera), fovOf(item.camera), up, bounds);
-  const start = full.length ? orbitAt(full.find((item) => item.split === 'test') ?? full[0]) :
-                              defaultOrbit(bounds, up);
+  const first = full.find((item) => item.split === 'test') ?? full[0] ??
+      (host.start ? {camera: host.start} : null);
+  const start = first ? orbitAt(first) : defaultOrbit(bounds, up);
   let orbit = orbitOfWord(host.camera, up) ?? start;
   let things = {path: null, selected: null, time: null};  // drawn over the picture
   let budgetMs = null;  // of a refined picture; null: as long as it takes
