@@ -3,15 +3,8 @@
 
 #include "common/dataset/reader.h"
 
-static double distance_to(const struct rn_camera *camera, const double point[3]) {
-    double sum = 0;
-    for (int i = 0; i < 3; i++)
-        sum += pow(camera->world_from_camera[i][3] - point[i], 2);
-    return sqrt(sum);
-}
-
-static bool meets(const double origin[3], const double direction[3],
-                  const struct rn_bounds *bounds) {
+bool rn_bounds_met(const struct rn_bounds *bounds, const double origin[3],
+                   const double direction[3]) {
     double along = 0, squared = 0;
     for (int i = 0; i < 3; i++) {
         double offset = bounds->centre[i] - origin[i];
@@ -28,7 +21,7 @@ bool rn_camera_looks_at(const struct rn_camera *camera, const struct rn_bounds *
         origin[i] = camera->world_from_camera[i][3];
         axis[i] = camera->world_from_camera[i][2];
     }
-    return meets(origin, axis, bounds);
+    return rn_bounds_met(bounds, origin, axis);
 }
 
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds) {
@@ -42,7 +35,7 @@ double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *
                                               (i / GRID + 0.5) / GRID * camera->height);
             if (!(ray.radius > 0)) continue; // beyond the lens's fold
             rays++;
-            met += meets(ray.origin, ray.direction, bounds);
+            met += rn_bounds_met(bounds, ray.origin, ray.direction);
         }
     }
     return rays ? (double)met / (double)rays : 1;
@@ -88,7 +81,7 @@ struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double
     nearest_to_axes(dataset, bounds.centre);
     double sum = 0;
     for (size_t f = 0; f < dataset->frame_count; f++)
-        sum += distance_to(&dataset->frames[f].camera, bounds.centre);
+        sum += rn_camera_distance(&dataset->frames[f].camera, bounds.centre);
     if (sum > 1e-6) bounds.radius = distances * sum / (double)dataset->frame_count;
     return bounds;
 }
@@ -111,7 +104,7 @@ void rn_dataset_describe(const struct rn_dataset *dataset, struct rn_dataset_rep
     for (size_t i = 0; i < dataset->frame_count; i++) {
         const struct rn_frame *frame = &dataset->frames[i];
         const struct rn_camera *camera = &frame->camera;
-        double distance = distance_to(camera, dataset->bounds.centre);
+        double distance = rn_camera_distance(camera, dataset->bounds.centre);
         double footprint = distance * rn_camera_cone(camera);
         widen(distance, i == 0, &report.camera_distance_min, &report.camera_distance_max);
         widen(footprint, i == 0, &report.footprint_min, &report.footprint_max);

@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/reader.h"
+
 #define SHIFT_GRID 32 // points a side of a photograph at which its lens is measured
 #define LOOK_GRID 16  // pixels looked through, a side of a photograph
 #define SAMPLED 16    // masks looked at, before any photograph is decoded
@@ -80,14 +82,7 @@ double rn_share_left_out(const struct rn_dataset *dataset) {
 static bool passes(const struct rn_camera *camera, const struct rn_bounds *ball, double x,
                    double y) {
     struct rn_ray ray = rn_camera_ray(camera, x, y);
-    double along = 0, squares = 0;
-    for (int i = 0; i < 3; i++) {
-        double offset = ball->centre[i] - ray.origin[i];
-        along += offset * ray.direction[i];
-        squares += offset * offset;
-    }
-    double inside = ball->radius * ball->radius - squares;
-    return inside < 0 && (along < 0 || along * along + inside < 0);
+    return !rn_bounds_met(ball, ray.origin, ray.direction);
 }
 
 double rn_share_past(const struct rn_dataset *d, const struct rn_bounds *bounds, bool cut_out) {

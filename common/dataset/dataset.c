@@ -7,6 +7,7 @@
 
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
+#include "common/math/vector.h"
 
 #define SEEN_ENOUGH 0.8 // of photographs without alpha; the NeRF-synthetic sphere has 0.9
 #define SMALL 0.25      // of the layout's sphere, where what is cut out has its own
@@ -175,8 +176,7 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
     const struct rn_read_options *options = reader->options;
     struct rn_scene_place place;
     if (options && options->up_given) {
-        double size =
-            sqrt(pow(options->up[0], 2) + pow(options->up[1], 2) + pow(options->up[2], 2));
+        double size = sqrt(rn_dot(options->up, options->up));
         for (int i = 0; i < 3; i++)
             dataset->lie.up[i] = options->up[i] / size;
     }

@@ -5,6 +5,7 @@
 
 #include "common/dataset/points.h"
 #include "common/dataset/reader.h"
+#include "common/math/vector.h"
 
 // Both or neither.
 static enum rn_status read_depths(const struct rn_json *object, struct rn_frame *frame,
@@ -155,8 +156,7 @@ static enum rn_status read_lie(const struct rn_json *root, struct rn_lie *lie,
         (status = read_crop(&object, lie, err)))
         return status;
     lie->kind = (enum rn_capture_kind)kind;
-    double squared = lie->up[0] * lie->up[0] + lie->up[1] * lie->up[1] + lie->up[2] * lie->up[2];
-    if (!(fabs(squared - 1) < 1e-6))
+    if (!(fabs(rn_dot(lie->up, lie->up) - 1) < 1e-6))
         return rn_json_error(&object, RN_ERROR_INVALID, err,
                              "has an \"up\" of another length than 1");
     lie->known = true;

@@ -212,10 +212,6 @@ static bool gather(const struct rn_dataset *dataset, struct witnesses *w) {
     return true;
 }
 
-static double distance(const double a[3], const double b[3]) {
-    return sqrt(pow(a[0] - b[0], 2) + pow(a[1] - b[1], 2) + pow(a[2] - b[2], 2));
-}
-
 // The sphere about the middle of the witnesses within `reach` of a point that holds `share` of
 // them.
 static bool enclose(struct witnesses *w, const double near[3], double reach, double share,
@@ -225,13 +221,13 @@ static bool enclose(struct witnesses *w, const double near[3], double reach, dou
     for (int axis = 0; axis < 3; axis++) {
         count = 0;
         for (size_t i = 0; i < w->count; i++)
-            if (distance(w->items[i], near) <= reach) w->work[count++] = w->items[i][axis];
+            if (rn_apart(w->items[i], near) <= reach) w->work[count++] = w->items[i][axis];
         middle[axis] = rn_numbers_quantile(w->work, count, 0.5);
     }
     if (count < FEWEST) return false;
     count = 0;
     for (size_t i = 0; i < w->count; i++)
-        if (distance(w->items[i], near) <= reach) w->work[count++] = distance(w->items[i], middle);
+        if (rn_apart(w->items[i], near) <= reach) w->work[count++] = rn_apart(w->items[i], middle);
     double radius = MARGIN * rn_numbers_quantile(w->work, count, share);
     if (!(radius > 0)) return false;
     memcpy(bounds->centre, middle, sizeof middle);
@@ -257,12 +253,6 @@ static double median_of(const struct rn_dataset *dataset, const double with[3], 
     for (size_t f = 0; f < dataset->frame_count; f++)
         work[f] = of(&dataset->frames[f].camera, with);
     return rn_numbers_quantile(work, dataset->frame_count, 0.5);
-}
-
-static double distance_of(const struct rn_camera *camera, const double from[3]) {
-    double at[3];
-    column(camera, 3, at);
-    return distance(at, from);
 }
 
 static double degrees_below(const struct rn_camera *camera, const double up[3]) {
@@ -302,12 +292,12 @@ static void measure(const struct rn_dataset *dataset, struct witnesses *w,
     place->cut_out = rn_dataset_is_cut_out(dataset);
     place->by_points = dataset->points.count > 0;
     place->miss = median_of(dataset, place->turned_around, w->work, axis_miss);
-    place->distance = median_of(dataset, place->turned_around, w->work, distance_of);
+    place->distance = median_of(dataset, place->turned_around, w->work, rn_camera_distance);
     place->below_deg = median_of(dataset, place->lie.up, w->work, degrees_below);
     place->tilt_deg = median_of(dataset, place->lie.up, w->work, degrees_tilted);
     size_t beyond = 0;
     for (size_t i = 0; i < w->count; i++)
-        beyond += distance(w->items[i], place->turned_around) > place->distance;
+        beyond += rn_apart(w->items[i], place->turned_around) > place->distance;
     place->witnesses = w->count;
     place->beyond = w->count >= FEWEST ? (double)beyond / (double)w->count : NAN;
     place->lie.kind = judge(place);

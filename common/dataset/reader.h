@@ -128,6 +128,9 @@ void rn_reader_settle_alpha(struct rn_reader *reader);
 // How near the point, dataset units, the rays through all but little of what alpha channels cut out
 // pass; NAN where they cut out nothing that can be decoded.
 double rn_outline_reach(const struct rn_dataset *dataset, const double point[3]);
+// Whether a ray, whose direction is unit, meets the sphere.
+bool rn_bounds_met(const struct rn_bounds *bounds, const double origin[3],
+                   const double direction[3]);
 // Share of the training photographs' pixels, of 16 x 16 in each, whose rays meet the sphere.
 double rn_bounds_seen(const struct rn_dataset *dataset, const struct rn_bounds *bounds);
 // Whether the camera's optical axis (forwards) meets the sphere.

@@ -192,10 +192,9 @@ static size_t near_sharpness(const struct all *all, size_t i, int side, double *
 }
 
 static double centre_distance(const struct rn_camera *a, const struct rn_camera *b) {
-    double squared = 0;
-    for (int i = 0; i < 3; i++)
-        squared += pow(a->world_from_camera[i][3] - b->world_from_camera[i][3], 2);
-    return sqrt(squared);
+    double place[3];
+    rn_camera_place(b, place);
+    return rn_camera_distance(a, place);
 }
 
 // Radians between two cameras' axes.

@@ -5,6 +5,7 @@
 
 #include "common/math/rng.h"
 #include "common/math/srgb.h"
+#include "common/math/vector.h"
 
 // Streams of random numbers of a photograph.
 enum { STREAM_EXPOSURE = 1, STREAM_SHUTTER, STREAM_CROWD };
@@ -161,8 +162,7 @@ static enum rn_status stand(const struct rn_synth_scene *scene,
         if (options->lens[i] != 0) camera->lens = RN_LENS_OPENCV;
     }
     scene->stand(split, index, count, eye, target);
-    shot->focus =
-        sqrt(pow(target[0] - eye[0], 2) + pow(target[1] - eye[1], 2) + pow(target[2] - eye[2], 2));
+    shot->focus = rn_apart(target, eye);
     enum rn_status status = rn_camera_look_at(eye, target, up, camera->world_from_camera);
     return status ? status : rn_camera_check(camera, "lens", NULL);
 }

@@ -299,12 +299,9 @@ static double find_nearness(const struct neighbour *neighbours, int count,
 }
 
 static double apart(const struct look *a, const struct look *b) {
-    double squares = 0;
-    for (int i = 0; i < 3; i++) {
-        double d = a->camera.world_from_camera[i][3] - b->camera.world_from_camera[i][3];
-        squares += d * d;
-    }
-    return sqrt(squares);
+    double place[3];
+    rn_camera_place(&b->camera, place);
+    return rn_camera_distance(&a->camera, place);
 }
 
 // Whether one that is kept stands there already: of what it shows, the other shows nothing anew.

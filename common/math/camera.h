@@ -85,6 +85,21 @@ RN_HD struct rn_ray rn_camera_ray(const struct rn_camera *camera, double px, dou
     return ray;
 }
 
+// Where the camera stands, and how far a point of the world is from there.
+RN_HD void rn_camera_place(const struct rn_camera *camera, double ret[3]) {
+    for (int i = 0; i < 3; i++)
+        ret[i] = camera->world_from_camera[i][3];
+}
+
+RN_HD double rn_camera_distance(const struct rn_camera *camera, const double point[3]) {
+    double squares = 0;
+    for (int i = 0; i < 3; i++) {
+        double d = camera->world_from_camera[i][3] - point[i];
+        squares += d * d;
+    }
+    return sqrt(squares);
+}
+
 // A point of the world in camera axes.
 RN_HD void rn_camera_axes(const struct rn_camera *camera, const double point[3], double ret[3]) {
     for (int i = 0; i < 3; i++) {

@@ -10,6 +10,18 @@ static inline double rn_dot(const double a[3], const double b[3]) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+// Between two places, squared, and as it is.
+static inline double rn_square_apart(const double a[3], const double b[3]) {
+    double squares = 0;
+    for (int i = 0; i < 3; i++)
+        squares += (a[i] - b[i]) * (a[i] - b[i]);
+    return squares;
+}
+
+static inline double rn_apart(const double a[3], const double b[3]) {
+    return sqrt(rn_square_apart(a, b));
+}
+
 // ret: none of the others.
 static inline void rn_cross(const double a[3], const double b[3], double ret[3]) {
     ret[0] = a[1] * b[2] - a[2] * b[1];

@@ -4,6 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/math/nearest.h"
+#include "common/math/vector.h"
+
 #define NEAREST 4 // views that a place is judged by
 
 // Of what is expected, fitted to lego: 150 views, each unknown in turn; two of three are within.
@@ -187,33 +190,18 @@ double rn_curve_expected(const struct rn_curve *curve, size_t point, double psnr
     return isnan(p->psnr) ? with_loss(psnr, p->psnr_full) : p->psnr;
 }
 
-static double squared_distance(const double a[3], const double b[3]) {
-    double sum = 0;
-    for (int i = 0; i < 3; i++)
-        sum += (a[i] - b[i]) * (a[i] - b[i]);
-    return sum;
-}
-
 struct rn_curve_here rn_curve_here(const struct rn_curve *curve, const double position[3]) {
-    const struct rn_curve_view *nearest[NEAREST] = {NULL};
+    struct rn_nearest nearest = {.most = NEAREST};
     const struct rn_curve_point *full = &curve->points[curve->count - 1];
     double weights = 0, psnr = 0, squares = 0;
-    for (size_t i = 0; i < curve->around_count; i++) {
-        const struct rn_curve_view *view = &curve->around[i];
-        for (int k = 0; k < NEAREST && view; k++) {
-            if (nearest[k] && squared_distance(view->position, position) >=
-                                  squared_distance(nearest[k]->position, position))
-                continue;
-            const struct rn_curve_view *further = nearest[k];
-            nearest[k] = view;
-            view = further;
-        }
-    }
-    for (int k = 0; k < NEAREST && nearest[k]; k++) {
-        double weight = 1 / (squared_distance(nearest[k]->position, position) + 1e-12);
+    for (size_t i = 0; i < curve->around_count; i++)
+        rn_nearest_offer(&nearest, rn_square_apart(curve->around[i].position, position), i);
+    for (int k = 0; k < nearest.count; k++) {
+        double weight = 1 / (nearest.apart[k] + 1e-12);
+        const struct rn_curve_view *view = &curve->around[nearest.which[k]];
         weights += weight;
-        psnr += weight * nearest[k]->psnr;
-        squares += weight * nearest[k]->psnr * nearest[k]->psnr;
+        psnr += weight * view->psnr;
+        squares += weight * view->psnr * view->psnr;
     }
     if (!(weights > 0) || isnan(full->psnr))
         return (struct rn_curve_here){.better = 0, .spread = full->psnr_spread};

@@ -5,13 +5,6 @@
 #include "common/math/numbers.h"
 #include "server/engine/render/render.h"
 
-static double distance(const struct rn_camera *camera, const double point[3]) {
-    double squares = 0;
-    for (int i = 0; i < 3; i++)
-        squares += pow(point[i] - camera->world_from_camera[i][3], 2);
-    return sqrt(squares);
-}
-
 enum rn_status rn_depth_compare(const struct rn_picture *depth, const struct rn_frame *frame,
                                 const struct rn_points *points, struct rn_depth_score *ret,
                                 struct rn_error *err) {
@@ -22,7 +15,7 @@ enum rn_status rn_depth_compare(const struct rn_picture *depth, const struct rn_
         const struct rn_sighting *s = &points->sightings[i];
         if (s->photo != (uint32_t)frame->photo || s->point >= points->count) continue;
         double x = floor((double)s->x * depth->width), y = floor((double)s->y * depth->height);
-        double truth = distance(&frame->camera, points->items[s->point].position);
+        double truth = rn_camera_distance(&frame->camera, points->items[s->point].position);
         if (!(x >= 0 && y >= 0 && x < depth->width && y < depth->height && truth > 0)) continue;
         float shown = depth->values[(size_t)y * (size_t)depth->width + (size_t)x];
         errors[count++] = fabs((double)shown - truth) / truth;

@@ -402,12 +402,9 @@ struct rn_view rn_field_view(const struct rn_field *field, const struct rn_camer
 
 double rn_cone_at_centre(const struct rn_field *field, const struct rn_camera *camera) {
     const struct rn_bounds *bounds = &field->bounds;
-    double squares = 0;
     if (field->config.field.space == RN_SPACE_UNBOUNDED)
         return rn_camera_cone(camera) * bounds->radius;
-    for (int i = 0; i < 3; i++)
-        squares += pow(camera->world_from_camera[i][3] - bounds->centre[i], 2);
-    return rn_camera_cone(camera) * sqrt(squares);
+    return rn_camera_cone(camera) * rn_camera_distance(camera, bounds->centre);
 }
 
 // In the disparity box a cone is widest at one of its ends, as its width is linear in 1 / z, and of

@@ -70,13 +70,6 @@ static void keep_around(const struct lines *lines, const double at[3]) {
     }
 }
 
-static double square_apart(const double a[3], const double b[3]) {
-    double squares = 0;
-    for (int i = 0; i < 3; i++)
-        squares += (a[i] - b[i]) * (a[i] - b[i]);
-    return squares;
-}
-
 // Counts to CROSSED, and perhaps a line of each other thread's more.
 static void cross(uint8_t *crossed) {
     if (__atomic_load_n(crossed, __ATOMIC_RELAXED) < CROSSED)
@@ -93,7 +86,7 @@ static void follow(const struct lines *lines, const double camera[3], const doub
             there[i] = camera[i] + (point[i] - camera[i]) * place / PLACES;
         contract(lines->trainer->field, there, at);
         size_t cell = cell_of(lines, at);
-        if (square_apart(at, end) < reach * reach) return;
+        if (rn_square_apart(at, end) < reach * reach) return;
         if (cell != last) cross(&lines->crossed[cell]);
         last = cell;
     }
@@ -132,8 +125,7 @@ static void list_views(struct lines *lines) {
         if (seen->photo >= lines->photos || !lines->cameras[seen->photo]) continue;
         if (seen->point % stride) continue;
         struct view view = {.point = seen->point, .photo = seen->photo};
-        for (int k = 0; k < 3; k++)
-            view.camera[k] = lines->cameras[seen->photo]->world_from_camera[k][3];
+        rn_camera_place(lines->cameras[seen->photo], view.camera);
         views[lines->count++] = view;
     }
     if (views) qsort(views, lines->count, sizeof *views, compare_views);
@@ -144,10 +136,10 @@ static void list_views(struct lines *lines) {
 static void follow_between(const struct lines *lines, const struct view *views, size_t count,
                            const double point[3]) {
     for (size_t i = 0; i < count && count >= CROSSED; i++) {
-        double most = WIDE * WIDE * square_apart(views[i].camera, point);
+        double most = WIDE * WIDE * rn_square_apart(views[i].camera, point);
         struct rn_nearest nearest = {.most = NEIGHBOURS};
         for (size_t k = 0; k < count; k++) {
-            double square = square_apart(views[k].camera, views[i].camera);
+            double square = rn_square_apart(views[k].camera, views[i].camera);
             if (square > 0 && square <= most) rn_nearest_offer(&nearest, square, k);
         }
         for (int n = 0; n < nearest.count * BETWEEN; n++) {
@@ -208,11 +200,10 @@ static struct stand stand_of(const struct lines *lines, uint32_t photo, double *
     const struct rn_point *points = lines->trainer->dataset->points.items;
     struct stand stand = {.nearest = NAN};
     size_t seen = 0;
-    for (int k = 0; k < 3; k++)
-        stand.place[k] = lines->cameras[photo]->world_from_camera[k][3];
+    rn_camera_place(lines->cameras[photo], stand.place);
     for (const struct view *view = lines->views; view < lines->views + lines->count; view++)
         if (view->photo == photo)
-            distances[seen++] = square_apart(stand.place, points[view->point].position);
+            distances[seen++] = rn_square_apart(stand.place, points[view->point].position);
     if (seen >= ENOUGH) stand.nearest = sqrt(rn_numbers_quantile(distances, seen, NEAREST));
     return stand;
 }
@@ -222,7 +213,7 @@ static struct stand stand_of(const struct lines *lines, uint32_t photo, double *
 static void find_ways(const struct stands *stands, struct stand *from) {
     struct rn_nearest nearest = {.most = 1 + FELLOWS};
     for (size_t i = 0; i < stands->count; i++) {
-        double square = square_apart(from->place, stands->items[i].place);
+        double square = rn_square_apart(from->place, stands->items[i].place);
         if (square <= from->nearest * from->nearest && stands->items[i].nearest > 0)
             rn_nearest_offer(&nearest, square, i);
     }
@@ -261,7 +252,7 @@ static bool lies_by(const struct stand *stand, const double point[3]) {
         double share = dot > 0 ? fmin(dot / rn_dot(way->along, way->along), 1) : 0;
         for (int k = 0; k < 3; k++)
             passed[k] = share * way->along[k];
-        if (square_apart(to, passed) <= way->clear * way->clear) return true;
+        if (rn_square_apart(to, passed) <= way->clear * way->clear) return true;
     }
     return false;
 }

@@ -20,12 +20,7 @@ static double elapsed_ms(int64_t since_ns) {
 }
 
 double rn_depth_scale(const struct rn_camera *camera, const struct rn_bounds *bounds) {
-    double squared = 0;
-    for (int i = 0; i < 3; i++) {
-        double d = camera->world_from_camera[i][3] - bounds->centre[i];
-        squared += d * d;
-    }
-    return sqrt(squared) + bounds->radius;
+    return rn_camera_distance(camera, bounds->centre) + bounds->radius;
 }
 
 void rn_picture_choose(enum rn_output_kind output, enum rn_picture_format format,
