@@ -180,9 +180,9 @@ struct way {
     double clear;    // about it
 };
 
-// A camera whose photograph is trained on, and the ways from it.
+// A camera whose photograph is trained on and saw enough, and the ways from it.
 struct stand {
-    double place[3], nearest; // of what it saw; NAN where too little is known
+    double place[3], nearest; // of what it saw
     double reach;             // beyond which no way's surroundings lie
     int way_count;
     struct way ways[1 + FELLOWS]; // that to itself first
@@ -194,8 +194,8 @@ struct stands {
     size_t count;
 };
 
-// Of a photograph: its camera and how far from it the nearest of its points are. `distances` has
-// room for one of each view.
+// Of a photograph: its camera and how far from it the nearest of its points are, NAN where too
+// little is known. `distances` has room for one of each view.
 static struct stand stand_of(const struct lines *lines, uint32_t photo, double *distances) {
     const struct rn_point *points = lines->trainer->dataset->points.items;
     struct stand stand = {.nearest = NAN};
@@ -214,8 +214,7 @@ static void find_ways(const struct stands *stands, struct stand *from) {
     struct rn_nearest nearest = {.most = 1 + FELLOWS};
     for (size_t i = 0; i < stands->count; i++) {
         double square = rn_square_apart(from->place, stands->items[i].place);
-        if (square <= from->nearest * from->nearest && stands->items[i].nearest > 0)
-            rn_nearest_offer(&nearest, square, i);
+        if (square <= from->nearest * from->nearest) rn_nearest_offer(&nearest, square, i);
     }
     from->way_count = nearest.count;
     for (int i = 0; i < nearest.count; i++) {
@@ -227,14 +226,16 @@ static void find_ways(const struct stands *stands, struct stand *from) {
     }
 }
 
-// All photographs' that are trained on; items malloc'd, NULL without memory.
+// All photographs' of which enough is known; items malloc'd, NULL without memory.
 static struct stands list_stands(const struct lines *lines) {
     double *distances = malloc((lines->count + 1) * sizeof *distances);
     struct stands stands = {.lines = lines,
                             .items = calloc(lines->photos + 1, sizeof *stands.items)};
-    for (size_t i = 0; distances && stands.items && i < lines->photos; i++)
-        if (lines->cameras[i])
-            stands.items[stands.count++] = stand_of(lines, (uint32_t)i, distances);
+    for (size_t i = 0; distances && stands.items && i < lines->photos; i++) {
+        if (!lines->cameras[i]) continue;
+        struct stand stand = stand_of(lines, (uint32_t)i, distances);
+        if (stand.nearest > 0) stands.items[stands.count++] = stand;
+    }
     for (size_t i = 0; i < stands.count; i++)
         find_ways(&stands, &stands.items[i]);
     free(distances);
