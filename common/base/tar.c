@@ -28,7 +28,7 @@ struct rn_tar {
     size_t next;
     int file;
     uint64_t left;
-    char block[2 * BLOCK]; // a header, padding or the end mark
+    char block[4 * BLOCK]; // headers, padding or the end mark
     size_t block_size, block_used;
     struct rn_error error;
 };
@@ -69,6 +69,21 @@ static const char *split_name(const char *name) {
     return NULL;
 }
 
+// The record of POSIX.1-2001 (pax) for a name that ustar has no place for, "SIZE path=NAME\n" with
+// all of its own bytes counted, into `ret` (NULL: nowhere). Returns its size.
+static size_t name_record(const char *name, char ret[2 * BLOCK]) {
+    size_t size = strlen(" path=\n") + strlen(name), whole = size;
+    while (whole < size + (size_t)snprintf(NULL, 0, "%zu", whole))
+        whole++;
+    if (ret) snprintf(ret, 2 * BLOCK, "%zu path=%s\n", whole, name);
+    return whole;
+}
+
+// Bytes of a member's headers.
+static size_t headers_size(const char *name) {
+    return split_name(name) ? BLOCK : 2 * BLOCK + padded(name_record(name, NULL));
+}
+
 static bool leaves_folder(const char *name) {
     for (const char *part = name;; part++) {
         size_t size = strcspn(part, "/");
@@ -102,8 +117,9 @@ enum rn_status rn_tar_add(struct rn_tar *tar, const char *name, struct rn_error 
     if (leaves_folder(name))
         return rn_error_set(err, RN_ERROR_INVALID, name,
                             "lies outside of the dataset's folder; move it into the folder");
-    if (!split_name(name))
-        return rn_error_set(err, RN_ERROR_INVALID, name, "the name is too long for an archive");
+    if (strlen(name) > RN_TAR_NAME_MAX)
+        return rn_error_set(err, RN_ERROR_INVALID, name,
+                            "the name has more than %d bytes; shorten it", RN_TAR_NAME_MAX);
     int file = open_member(tar, name, &status);
     if (file < 0) return rn_error_from_errno(err, errno, name, "open it as a regular file");
     close(file);
@@ -119,7 +135,7 @@ enum rn_status rn_tar_add(struct rn_tar *tar, const char *name, struct rn_error 
     struct member member = {.name = strdup(name), .size_bytes = (uint64_t)status.st_size};
     if (!member.name) return rn_error_set(err, RN_ERROR_NO_MEMORY, name, "memory ran out");
     tar->members[tar->count++] = member;
-    tar->size += BLOCK + padded(member.size_bytes);
+    tar->size += headers_size(name) + padded(member.size_bytes);
     return RN_OK;
 }
 
@@ -135,7 +151,8 @@ const struct rn_error *rn_tar_error(const struct rn_tar *tar) {
     return &tar->error;
 }
 
-void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char ret[BLOCK]) {
+static void put_header(char type, const char *name, uint64_t size_bytes, int64_t mtime_s,
+                       char ret[BLOCK]) {
     const char *last = split_name(name);
     memset(ret, 0, BLOCK);
     memcpy(ret, last, strlen(last));
@@ -145,7 +162,7 @@ void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char 
     snprintf(ret + 116, 8, "%07o", 0);
     snprintf(ret + 124, 12, "%011llo", (unsigned long long)size_bytes);
     snprintf(ret + 136, 12, "%011llo", (unsigned long long)mtime_s);
-    ret[156] = '0';
+    ret[156] = type;
     memcpy(ret + 257, "ustar\00000", 8);
     unsigned sum = 8 * ' '; // the sum's own field counts as blanks
     for (size_t i = 0; i < BLOCK; i++)
@@ -154,10 +171,25 @@ void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char 
     ret[155] = ' ';
 }
 
+void rn_tar_header(const char *name, uint64_t size_bytes, int64_t mtime_s, char ret[BLOCK]) {
+    put_header('0', name, size_bytes, mtime_s, ret);
+}
+
 static void put_zeros(struct rn_tar *tar, size_t size) {
     memset(tar->block, 0, sizeof tar->block);
     tar->block_size = size;
     tar->block_used = 0;
+}
+
+static void put_headers(struct rn_tar *tar, const struct member *member) {
+    const char *name = member->name;
+    put_zeros(tar, headers_size(name));
+    char *last = tar->block + tar->block_size - BLOCK;
+    if (!split_name(name)) {
+        put_header('x', "pax", name_record(name, tar->block + BLOCK), 0, tar->block);
+        name = "long-name";
+    }
+    put_header('0', name, member->size_bytes, 0, last);
 }
 
 // Opens the next member and queues its header, or queues the end mark. False: failed or finished.
@@ -176,9 +208,7 @@ static bool advance(struct rn_tar *tar) {
         return false;
     }
     tar->left = member->size_bytes;
-    rn_tar_header(member->name, member->size_bytes, 0, tar->block);
-    tar->block_size = BLOCK;
-    tar->block_used = 0;
+    put_headers(tar, member);
     return true;
 }
 
@@ -232,7 +262,8 @@ bool rn_tar_seek(struct rn_tar *tar, uint64_t offset) {
     tar->sent = tar->left = 0;
     tar->block_size = tar->block_used = 0;
     for (; tar->next < tar->count; tar->next++) { // whole members
-        uint64_t span = BLOCK + padded(tar->members[tar->next].size_bytes);
+        const struct member *member = &tar->members[tar->next];
+        uint64_t span = headers_size(member->name) + padded(member->size_bytes);
         if (offset - tar->sent < span) break;
         tar->sent += span;
     }

@@ -1,4 +1,4 @@
-// Archives that rn_tar wrote: regular files, by ustar headers.
+// Archives that a backup is: regular files, by ustar headers.
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>

@@ -222,25 +222,26 @@ static char *read_all(struct rn_tar *tar, size_t piece) {
 }
 
 START_TEST(archives_are_read_back_by_libarchive) {
-    static const struct {
+    char long_name[256] = "sub/", longest[256] = "sub/"; // 105 bytes' record counts its own size
+    const struct {
         const char *name;
         size_t size;
-    } files[] = {{"a.json", 0},
-                 {"sub/b.png", 1},
-                 {"sub/c.png", 511},
-                 {"sub/d.png", 512},
-                 {"sub/e.png", 100000}};
+    } files[] = {{"a.json", 0},         {"sub/b.png", 1}, {"sub/c.png", 511}, {"sub/d.png", 512},
+                 {"sub/e.png", 100000}, {long_name, 513}, {longest, 0}};
+    memset(long_name + 4, 'm', 101);
+    memset(longest + 4, 'n', 200);
+    enum { FILES = sizeof files / sizeof *files };
     static const size_t pieces[] = {1, 7, 512, 65536};
     struct rn_error err;
-    for (size_t i = 0; i < 5; i++) {
-        char path[64];
+    for (size_t i = 0; i < FILES; i++) {
+        char path[300];
         snprintf(path, sizeof path, "in/%s", files[i].name);
         write_file(path, files[i].size);
     }
     for (size_t p = 0; p < 4; p++) {
         struct rn_tar *tar = NULL;
         ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
-        for (size_t i = 0; i < 5; i++) {
+        for (size_t i = 0; i < FILES; i++) {
             ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK);
             ck_assert_int_eq(rn_tar_add(tar, files[i].name, &err), RN_OK); // once is enough
         }
@@ -249,7 +250,7 @@ START_TEST(archives_are_read_back_by_libarchive) {
         struct archive_entry *entry;
         archive_read_support_format_tar(archive);
         ck_assert_int_eq(archive_read_open_memory(archive, bytes, (size_t)rn_tar_size(tar)), 0);
-        for (size_t i = 0; i < 5; i++) {
+        for (size_t i = 0; i < FILES; i++) {
             static char data[100001];
             ck_assert_int_eq(archive_read_next_header(archive, &entry), ARCHIVE_OK);
             ck_assert_str_eq(archive_entry_pathname(entry), files[i].name);
@@ -269,7 +270,7 @@ END_TEST
 START_TEST(archives_refuse_what_is_not_theirs) {
     struct rn_tar *tar = NULL;
     struct rn_error err;
-    char name[512];
+    char name[RN_TAR_NAME_MAX + 2];
     write_file("outside", 3);
     ck_assert_int_eq(rn_tar_create("in", &tar, &err), RN_OK);
     uint64_t empty = rn_tar_size(tar);
@@ -280,7 +281,7 @@ START_TEST(archives_refuse_what_is_not_theirs) {
     ck_assert_int_ne(rn_tar_add(tar, "sub", &err), RN_OK);
     ck_assert_int_eq(rn_tar_add(tar, "missing", &err), RN_ERROR_NOT_FOUND);
     memset(name, 'n', sizeof name);
-    name[101] = '\0';
+    name[RN_TAR_NAME_MAX + 1] = '\0';
     ck_assert_int_eq(rn_tar_add(tar, name, &err), RN_ERROR_INVALID);
     ck_assert_uint_eq(rn_tar_size(tar), empty);
     rn_tar_destroy(&tar);
