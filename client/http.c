@@ -47,14 +47,27 @@ static char *join(const char *first, const char *second) {
     return text;
 }
 
+static enum rn_status not_an_address(const char *host, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_INVALID, host,
+                        "is not an http or https URL, such as " RN_HTTP_DEFAULT_HOST);
+}
+
+// Whether a request to it could be sent at all: libcurl would tell of one that could not as of a
+// daemon that is away.
+static bool is_url(const char *url) {
+    CURLU *parsed = curl_url();
+    bool is_one = parsed && curl_url_set(parsed, CURLUPART_URL, url, 0) == CURLUE_OK;
+    curl_url_cleanup(parsed);
+    return is_one;
+}
+
 enum rn_status rn_http_create(const char *host, const char *token, struct rn_http **ret_http,
                               struct rn_error *err) {
     const char *named = strstr(host, "://");
     const char *place = named ? named + 3 : host;
     if ((named && strncmp(host, "http://", 7) != 0 && strncmp(host, "https://", 8) != 0) ||
         !*place || strcspn(place, "/ ") == 0 || strchr(place, ' '))
-        return rn_error_set(err, RN_ERROR_INVALID, host,
-                            "is not an http or https URL, such as " RN_HTTP_DEFAULT_HOST);
+        return not_an_address(host, err);
     if (token && strpbrk(token, "\r\n"))
         return rn_error_set(err, RN_ERROR_INVALID, "token", "holds a line break");
     struct rn_http *http = calloc(1, sizeof *http);
@@ -68,6 +81,10 @@ enum rn_status rn_http_create(const char *host, const char *token, struct rn_htt
     if (!http->host || (token && !http->authorization) || !http->easy || !http->multi) {
         rn_http_destroy(&http);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "http", "memory ran out");
+    }
+    if (!is_url(http->host)) {
+        rn_http_destroy(&http);
+        return not_an_address(host, err);
     }
     for (size_t size = strlen(http->host); size && http->host[size - 1] == '/';)
         http->host[--size] = '\0';

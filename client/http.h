@@ -17,7 +17,7 @@ struct rn_http;
 
 // `host` is a URL, or a daemon's address for http, with the default port where it names none;
 // `token` (NULL: none) goes into every request. Proxies of the environment are not used.
-// RN_ERROR_INVALID for a URL of another scheme.
+// RN_ERROR_INVALID for a URL of another scheme, or none.
 enum rn_status rn_http_create(const char *host, const char *token, struct rn_http **ret_http,
                               struct rn_error *err) RN_MUST_CHECK;
 // A second connection to the same daemon with the same token: a request may be made on it while

@@ -237,6 +237,8 @@ static enum rn_exit run(int argc, char **argv, int word, const struct rn_verb *v
         puts("ripnerf " RN_VERSION);
         return RN_EXIT_OK;
     }
+    if (!verb && !is_help && !globals.help && globals.json)
+        return rn_client_usage("ripnerf", "needs a verb; see ripnerf help");
     if (is_help || globals.help || !verb)
         return is_help || globals.help ? help(verb ? verb->name : args[0])
                                        : (print_overview(), RN_EXIT_USAGE);

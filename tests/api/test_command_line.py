@@ -88,10 +88,18 @@ def test_what_would_be_ignored_is_refused(client, daemon, tmp_path, arguments, w
     (["train", "a", "--name", "b", "--effect", "foo=on"], "--effect: there is no 'foo'; there is background, "),
     (["doctor", "--seed", "x"], "--seed: must be a whole number from 0 to 9007199254740991; it is 'x'\n"),
     (["info", "--host", "http://"], "http://: is not an http or https URL, such as http://127.0.0.1:"),
+    (["info", "--host", "http://127.0.0.1:99999"], "http://127.0.0.1:99999: is not an http or https URL"),
+    (["info", "--host", "box:web"], "box:web: is not an http or https URL, such as http://127.0.0.1:"),
 ])
 def test_what_is_wrong_is_named_with_its_remedy(client, daemon, tmp_path, arguments, words):
     assert client.run(*arguments, code=USAGE).stderr.startswith(f"ripnerf: {words}")
     assert not daemon.requests and list(tmp_path.iterdir()) == []
+
+
+def test_no_verb_is_an_error_in_json(client):
+    error = json.loads(client.run("--json", code=USAGE).stderr)["error"]
+    assert error == {"where": "ripnerf", "detail": "needs a verb; see ripnerf help", "exit_code": USAGE}
+    assert "usage: ripnerf" in client.run(code=USAGE).stdout
 
 
 def test_a_file_that_was_made_is_a_result_in_json(client, tmp_path):
