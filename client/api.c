@@ -6,6 +6,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "client/interrupt.h"
 #include "common/base/file.h"
 #include "proto/problem.h"
 
@@ -169,9 +170,11 @@ void rn_client_note(const char *fmt, ...) {
 
 void rn_api_exchange(struct rn_client *client, const struct rn_http_request *request,
                      struct rn_api_reply *ret_reply) {
+    struct rn_http_request asked = *request;
+    asked.interrupt_fd = rn_interrupt_fd();
     memset(ret_reply, 0, sizeof *ret_reply);
     enum rn_status status =
-        rn_http_perform(client->http, request, &ret_reply->http, &ret_reply->err);
+        rn_http_perform(client->http, &asked, &ret_reply->http, &ret_reply->err);
     ret_reply->code =
         status == RN_OK ? exit_of_http(ret_reply->http.status) : exit_of_status(status);
 }

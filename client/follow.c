@@ -153,8 +153,7 @@ static void stream(struct rn_follow *follow, const char *path, struct rn_sse *ss
                                       .last_event_id = *sse->last_id ? sse->last_id : NULL,
                                       .receive = on_bytes,
                                       .context = sse,
-                                      .idle_s = STREAM_IDLE_S,
-                                      .interrupt_fd = rn_interrupt_fd()};
+                                      .idle_s = STREAM_IDLE_S};
     rn_sse_restart(sse);
     rn_api_exchange(follow->client, &request, ret_reply);
 }
@@ -215,15 +214,16 @@ static enum rn_exit code_of_end(const struct rn_follow *follow) {
 
 enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id) {
     struct rn_error err = {0};
-    if (!rn_interrupt_fd() && rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
+    if (rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
     char *path = rn_api_path("jobs", job_id, "/events");
     if (!path) return RN_EXIT_FAILED;
     rn_progress_init(&follow->progress, !follow->quiet);
     enum rn_exit code = stream_to_end(follow, path);
     free(path);
     rn_progress_finish(&follow->progress);
-    if (code != RN_EXIT_OK) return code;
-    if (follow->known && rn_job_has_ended(&follow->job)) return code_of_end(follow);
+    bool left = code == RN_EXIT_CANCELLED && rn_interrupt_seen(); // as `event` was at a request
+    if (code != RN_EXIT_OK && !left) return code;
+    if (!left && follow->known && rn_job_has_ended(&follow->job)) return code_of_end(follow);
     follow->detached = true;
     fprintf(stderr, "detached; job %s goes on. Come back with: ripnerf watch %s\n", job_id, job_id);
     return RN_EXIT_FAILED;

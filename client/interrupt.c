@@ -20,7 +20,9 @@ static void on_signal(int number) {
 }
 
 enum rn_status rn_interrupt_catch(struct rn_error *err) {
-    struct sigaction action = {.sa_handler = on_signal};
+    struct sigaction action = {.sa_handler = on_signal,
+                               .sa_flags = (int)(SA_RESETHAND | SA_RESTART)};
+    if (interrupt_pipe[0]) return RN_OK;
     sigemptyset(&action.sa_mask);
     if (pipe2(interrupt_pipe, O_CLOEXEC | O_NONBLOCK) != 0 ||
         sigaction(SIGINT, &action, NULL) != 0 || sigaction(SIGTERM, &action, NULL) != 0)

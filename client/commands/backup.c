@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "client/api.h"
+#include "client/interrupt.h"
 #include "common/base/file.h"
 #include "common/base/tar.h"
 #include "proto/adopted.h"
@@ -59,6 +60,7 @@ static enum rn_exit run_backup(struct rn_client *client, const void *options, co
         return rn_client_usage(file, "is there already; choose another name");
     if (snprintf(partial, sizeof partial, "%s.partial", file) >= (int)sizeof partial)
         return rn_client_usage(file, "is too long a name");
+    if (rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
     int fd = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0) {
         rn_error_from_errno(&err, errno, partial, "create");
@@ -85,10 +87,15 @@ struct archive {
     struct rn_tar_contents contents;
 };
 
+static bool go_on(void *context) {
+    (void)context;
+    return !rn_interrupt_seen();
+}
+
 static enum rn_status unpack(struct archive *archive, struct rn_error *err) {
     char records[4400];
     enum rn_status status =
-        rn_tar_unpack(archive->name, archive->folder, NULL, NULL, &archive->contents, err);
+        rn_tar_unpack(archive->name, archive->folder, go_on, NULL, &archive->contents, err);
     snprintf(records, sizeof records, "%s/ripnerf.db", archive->folder);
     if (status == RN_OK && access(records, F_OK) != 0)
         status = rn_error_set(err, RN_ERROR_CORRUPT, archive->name,
@@ -131,6 +138,7 @@ static enum rn_exit restore_folder(const struct rn_client *client, const char *f
     if (!is_free(folder))
         return rn_client_usage(folder, "is there already; a backup goes into a new folder, or, "
                                        "without one, to what a daemon has");
+    if (rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
     if (restore(&archive, folder, &err) != RN_OK) return rn_client_fail(&err);
     if (client->json) return rn_client_print_file(folder, archive.contents.bytes);
     printf("%lld files, %lld bytes; now: ripnerfd --data %s --scrub, and start it\n",

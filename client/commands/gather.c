@@ -206,6 +206,7 @@ static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *fr
     if (rn_http_create_twin(client->http, &frames->client.http, &err) != RN_OK)
         code = rn_client_fail(&err);
     if (code == RN_EXIT_OK) code = rn_follow_job(&follow, frames->job);
+    if (code == RN_EXIT_OK) code = bring(frames, &follow, first, client->json);
     if (follow.detached)
         fprintf(stderr,
                 "Its frames will be at %s/v1/jobs/%s/frames.tar; the same command with "
@@ -215,7 +216,6 @@ static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *fr
         rn_client_note("ripnerf: the same command with --resume goes on with what is there");
     else if (code != RN_EXIT_UNREACHABLE && code != RN_EXIT_OK)
         unlink(frames->target->note); // it would end the same way
-    if (code == RN_EXIT_OK) code = bring(frames, &follow, first, client->json);
     if (code == RN_EXIT_OK) unlink(frames->target->note);
     rn_follow_finish(&follow);
     rn_http_destroy(&frames->client.http);

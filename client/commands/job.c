@@ -261,8 +261,8 @@ static enum rn_exit run_jobs(struct rn_client *client, const void *options, cons
 // {"event": ..., "data": ...}, a line each.
 static bool print_event(struct rn_follow *follow, const struct rn_sse_event *event) {
     printf("{\"event\":\"%s\",\"data\":%s}\n", event->type, event->data);
-    fflush(stdout);
-    return true;
+    if (fflush(stdout) != 0) follow->code = RN_EXIT_FAILED; // nobody reads any more
+    return follow->code == RN_EXIT_OK;
 }
 
 static void note_incident(struct rn_follow *follow, const struct rn_sse_event *event) {

@@ -109,6 +109,7 @@ class FakeDaemon:
         self.datasets, self.scenes, self.jobs, self.frames = {}, {}, {}, {}
         self.requests = []
         self.refusal = None  # a Problem that answers each POST
+        self.held = None     # an answer to a path that ends so breaks off, and its connection stays
         self.uploads = {}  # dataset: {file: bytes}
         self.parts = {}    # upload: (size, bytes so far)
         self.cut_after = None  # a part's connection is cut once, after so many bytes
@@ -295,6 +296,8 @@ class Handler(BaseHTTPRequestHandler):
                 raise Problem(401, "unauthorised", "a token is missing or wrong")
             if daemon.refusal and self.command == "POST":
                 raise daemon.refusal
+            if daemon.held and self.path.endswith(daemon.held):
+                return self.hold()
             self.route(parts, query, body)
         except Problem as problem:
             contract.check("Problem", problem.body)
@@ -309,6 +312,15 @@ class Handler(BaseHTTPRequestHandler):
         self.daemon.requests.append((self.command, self.path, dict(self.headers), b""))
         self.close_connection = True
         self.connection.shutdown(socket.SHUT_RDWR)
+
+    def hold(self):
+        """Answers the beginning of much, and no more before the client is gone."""
+        self.close_connection = True
+        self.send_response(200)
+        self.send_header("Content-Length", str(1 << 20))
+        self.end_headers()
+        self.wfile.write(PNG)
+        self.rfile.read(1)
 
     do_GET = do_POST = do_PATCH = do_DELETE = serve
 

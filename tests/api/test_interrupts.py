@@ -1,0 +1,120 @@
+"""Ctrl-C and a reader that leaves: what the client leaves behind, what it says, and its exit code."""
+
+import io
+import json
+import os
+import signal
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from support import contract
+from support.client import CANCELLED, FAILED
+from support.waiting import PATIENCE_S, wait_for
+
+
+def end(process, code):
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == code, out + err
+    return err
+
+
+def is_asked(daemon, tail):
+    return any(path.endswith(tail) for _, path, _, _ in daemon.requests)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_backup_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, number):
+    daemon.held = "/backup"
+    process = client.start("backup", "all.tar")
+    partial = tmp_path / "all.tar.partial"
+    wait_for(lambda: partial.exists() and partial.stat().st_size)
+    process.send_signal(number)
+    assert "was interrupted" in end(process, CANCELLED)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def slow_archive(tmp_path):
+    """A backup that comes through a pipe."""
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        info = tarfile.TarInfo("ripnerf.db")
+        info.size = 1 << 20
+        tar.addfile(info, io.BytesIO(bytes(info.size)))
+    os.mkfifo(tmp_path / "all.tar")
+    return file.getvalue()
+
+
+def begin_restore(client, tmp_path, beginning):
+    process = client.start("restore", "all.tar", "new")
+    pipe = open(tmp_path / "all.tar", "wb", buffering=0)
+    pipe.write(beginning)
+    wait_for((tmp_path / "new.partial" / ("ripnerf.db" if beginning else "")).exists)
+    return process, pipe
+
+
+def takes(process, number):
+    """Whether the process still takes a signal itself."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    caught = next(line for line in status.splitlines() if line.startswith("SigCgt:"))
+    return int(caught.split()[1], 16) >> (number - 1) & 1
+
+
+def test_a_restore_that_is_interrupted_leaves_nothing(client, slow_archive, tmp_path):
+    process, pipe = begin_restore(client, tmp_path, slow_archive[:200000])
+    process.send_signal(signal.SIGINT)
+    wait_for(lambda: not takes(process, signal.SIGINT))
+    with pipe:
+        try:
+            pipe.write(slow_archive[200000:600000])
+        except BrokenPipeError:
+            pass  # it is gone already
+    end(process, CANCELLED)
+    assert [file.name for file in tmp_path.iterdir()] == ["all.tar"]
+
+
+def test_a_second_interrupt_ends_at_once(client, slow_archive, tmp_path):
+    process, pipe = begin_restore(client, tmp_path, b"")
+    with pipe:
+        process.send_signal(signal.SIGINT)
+        wait_for(lambda: not takes(process, signal.SIGINT))
+        assert process.poll() is None  # it waits for what does not come
+        process.send_signal(signal.SIGINT)
+        end(process, -signal.SIGINT)
+
+
+@pytest.mark.parametrize("out, held, code, words", [
+    ("film.mp4", "/film", CANCELLED, "was interrupted"),  # the job has ended
+    ("frames", "/frames/2", FAILED, "goes on")])
+def test_what_is_brought_can_be_interrupted(client, daemon, tmp_path, out, held, code, words):
+    daemon.add_scene("slow" if out == "frames" else "lego", daemon.add_dataset("lego"))
+    (tmp_path / "p.json").write_text(json.dumps(contract.example("PathFile")))
+    daemon.held = held
+    process = client.start("path", "slow" if out == "frames" else "lego", "p.json", "-o", out)
+    wait_for(lambda: is_asked(daemon, held))
+    process.send_signal(signal.SIGINT)
+    err = end(process, code)
+    assert words in err and "--resume" in err
+    left = sorted(str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*") if file.is_file())
+    assert left == {"film.mp4": ["film.mp4.job", "p.json"],
+                    "frames": ["frames/.ripnerf-job", "frames/00000.png", "frames/00001.png",
+                               "p.json"]}[out]
+
+
+def test_a_watch_that_nobody_reads_ends(client, daemon):
+    daemon.add_dataset("lego")
+    job = client.json("train", "lego", "--name", "slow")["id"]
+    process = client.start("watch", job, "--json")
+    assert json.loads(process.stdout.readline())["event"] == "state"
+    process.stdout.close()
+
+    def has_left():
+        daemon.job(job).emit("progress", contract.example("TrainProgress"))
+        return process.poll() is not None
+
+    wait_for(has_left)
+    assert process.returncode == FAILED
+    assert json.loads(process.stderr.read())["error"]["where"] == "standard output"
+    client.run("cancel", job)
