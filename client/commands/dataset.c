@@ -368,6 +368,21 @@ static const struct rn_option import_table[] = {
      .help = "go without photographs that cannot be used"},
     {0}};
 
+// What was found in it, on the way too.
+static void print_findings(const struct rn_dataset_record *dataset) {
+    struct rn_dataset_report_record report;
+    const struct rn_bounds_record *bounds = &dataset->bounds;
+    if (dataset->capture >= 0) printf("%s, ", rn_capture_titles[dataset->capture]);
+    printf("bounds: centre (%.4g, %.4g, %.4g), radius %.4g, %s\n", bounds->centre[0],
+           bounds->centre[1], bounds->centre[2], bounds->radius,
+           rn_bounds_source_titles[bounds->source]);
+    if (!dataset->report || rn_decode(&rn_dataset_report_table, dataset->report,
+                                      strlen(dataset->report), &report, NULL, NULL) != RN_OK)
+        return;
+    print_problems(stdout, &report);
+    rn_message_finish(&rn_dataset_report_table, &report);
+}
+
 static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
     enum rn_kind kind;
     struct rn_api_reply reply;
@@ -383,6 +398,7 @@ static enum rn_exit print_dataset(struct rn_client *client, const char *id) {
                (long long)dataset.views.val, (long long)dataset.views.test,
                (long long)dataset.width, (long long)dataset.height, (long long)dataset.scales,
                dataset.scales == 1 ? "" : "s");
+        print_findings(&dataset);
         rn_print_past(&dataset.past);
         rn_message_finish(&rn_dataset_table, &dataset);
     }

@@ -321,6 +321,12 @@ def test_a_split_that_is_not_needed_is_told(client, folder, daemon):
     assert "--split" not in client.run("import", folder, "--name", "y").stderr
 
 
+def test_an_import_tells_what_it_found(client, folder):
+    lines = client.run("import", folder, "--name", "x").stdout.splitlines()
+    assert lines[1] == ("an object, turned around, bounds: centre (0, 0, 0), radius 1.5, by its layout")
+    assert "error    test/r_17.png: the PNG is cut off after 1024 bytes; copy the file again" in lines
+
+
 def test_import_sends_exactly_the_files_that_the_json_names(client, folder, daemon):
     dataset = client.json("import", folder, "--name", "blank", "--max-size", 8, "--scales", 2,
                           "--alpha", "straight", "--split", "every:8", "--bounds", "0,0,1,2.5")
