@@ -87,6 +87,9 @@ void rn_api_measure(struct rn_app *app, struct rn_request *request, enum rn_job_
 // caller's quota. imports.c
 enum rn_status rn_api_spool(struct rn_app *app, struct rn_request *request,
                             struct rn_error *err) RN_MUST_CHECK;
+// Sets the error of a spool that is not there: RN_ERROR_IO, as nothing that was asked for is
+// missing.
+enum rn_status rn_api_no_spool(struct rn_app *app, struct rn_error *err) RN_MUST_CHECK;
 // Answers with the job that was submitted, 202 with its place, or with why not. imports.c
 void rn_api_submit(struct rn_app *app, const struct rn_submission *wanted,
                    struct rn_request *request, struct rn_reply *reply);

@@ -82,6 +82,12 @@ enum rn_status rn_api_most_upload(struct rn_app *app, const struct rn_caller *ca
     return status;
 }
 
+enum rn_status rn_api_no_spool(struct rn_app *app, struct rn_error *err) {
+    return rn_error_set(err, RN_ERROR_IO, rn_store_folder(app->store),
+                        "the data folder was moved or removed under the daemon: nothing can be "
+                        "sent to it any more; put it back, or stop the daemon");
+}
+
 enum rn_status rn_api_spool(struct rn_app *app, struct rn_request *request, struct rn_error *err) {
     uint64_t most = 0;
     char *spool = rn_store_path(app->store, "spool");
@@ -89,6 +95,7 @@ enum rn_status rn_api_spool(struct rn_app *app, struct rn_request *request, stru
         spool == NULL ? rn_error_set(err, RN_ERROR_NO_MEMORY, "", "no memory for an upload")
                       : rn_api_most_upload(app, rn_request_caller(request), &most, err);
     if (status == RN_OK) status = rn_request_spool(request, spool, most, err);
+    if (status == RN_ERROR_NOT_FOUND) status = rn_api_no_spool(app, err);
     free(spool);
     return status;
 }

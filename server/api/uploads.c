@@ -152,6 +152,7 @@ void rn_create_upload(void *context, struct rn_request *request, struct rn_reply
     if (status == RN_OK && fd < 0)
         status =
             rn_error_from_errno(&err, path == NULL ? ENOMEM : errno, "spool", "begin an upload");
+    if (status == RN_ERROR_NOT_FOUND) status = rn_api_no_spool(app, &err);
     if (fd >= 0) close(fd);
     free(path);
     if (rn_api_failed(status, &err, reply)) return;

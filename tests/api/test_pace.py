@@ -327,6 +327,10 @@ def test_data_folder_that_is_removed_underneath(make_daemon):
     shutil.rmtree(daemon.data)
     reply = daemon.post("/v1/camera-paths", big_path("p", 2), check=False)
     assert reply.status == 500 and "removed" in reply.json["detail"]
+    for reply in (daemon.post("/v1/uploads", {"name": "a", "size_bytes": 9}, check=False),
+                  daemon.post("/v1/datasets", body=b"x", query={"name": "a"}, check=False,
+                              headers={"Content-Type": "application/x-tar"})):
+        assert reply.status == 500 and "moved or removed" in reply.json["detail"]
 
 
 def test_uploads_have_a_common_limit(make_daemon):
