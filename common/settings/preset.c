@@ -98,6 +98,13 @@ void rn_train_config_choose(struct rn_train_config *config,
     if (config->until_psnr > 0) config->give_back = 0; // which needs its figure to the end
 }
 
+void rn_train_config_suit_data(struct rn_train_config *config, const char *name, double value) {
+    const struct rn_setting *row = rn_settings_find(&rn_train_settings, name);
+    int preset = rn_name_index(rn_preset_names, config->preset);
+    if (preset < 0 || rn_setting_number(row, config) == preset_value(row, preset))
+        rn_setting_put_number(row, value, config);
+}
+
 // ---- checks ---------------------------------------------------------------------------------
 
 enum rn_status rn_planes_check(int planes, enum rn_orientation orientation, struct rn_error *err) {

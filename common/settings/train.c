@@ -409,7 +409,8 @@ static const struct rn_setting rows[] = {
      .min = 0,
      .max = 1,
      .unit = "",
-     .meaning = "optical depth of a step above which a cell is occupied; 0: 0.005",
+     .meaning = "optical depth of a step above which a cell is occupied; 0: as the space calls "
+                "for, 0.005 in a ball",
      PRESETS(0, 0, 0),
      .unlike = "a cell is occupied from another optical depth on than the paper's 0.005"},
     {.name = "distortion_loss",
@@ -419,7 +420,8 @@ static const struct rn_setting rows[] = {
      .min = 0,
      .max = 1,
      .unit = "",
-     .meaning = "weight of the loss that draws together what a ray sees; 0: none",
+     .meaning = "weight of the loss that draws together what a ray sees; 0: as the space calls "
+                "for, none in a ball",
      PRESETS(0, 0, 0),
      .unlike = "what a ray sees is drawn together (the distortion loss)"},
     {.name = "sample_cells",

@@ -86,9 +86,10 @@ struct rn_train_config {
     bool cone_step;         // a sample spans as many steps as its cone is wide, at most 8
     double stop;            // early stop: transmittance below which a ray ends
     double occupancy_limit; // optical depth of a step above which a cell is occupied; the mean over
-                            // all cells where that is less. 0: RN_OCCUPANCY_LIMIT
-    double distortion_loss; // weight of the loss that draws what a ray sees together; 0: there is
-                            // none. Grows in from a fifth of the schedule to its half
+                            // all cells where that is less. 0: as the space calls for; in a ball
+                            // RN_OCCUPANCY_LIMIT
+    double distortion_loss; // weight of the loss that draws what a ray sees together; 0: as the
+                            // space calls for; in a ball there is none. Grows in
     bool sample_cells;   // occupancy: after the first 256 steps cells are drawn, a quarter of all
                          // and of those that are occupied; else each has its turn
     bool refine_at_rest; // occupancy is measured anew when training is over (occupancy.h)
@@ -135,6 +136,9 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
                          struct rn_error *err) RN_MUST_CHECK;
 // After a change of max_seconds: what the preset makes of the time.
 void rn_train_config_suit_time(struct rn_train_config *config);
+// What the data calls for in place of the preset's value of the setting `name`; another than the
+// preset's was asked for, and stays.
+void rn_train_config_suit_data(struct rn_train_config *config, const char *name, double value);
 // Times, a power of two, that photographs of so many megapixels in all, the largest of so many
 // pixels a side, are made smaller for a training of so many seconds (effects/downscaling.c). 1
 // without a limit, of 0 seconds.

@@ -9,10 +9,14 @@
 #include "server/engine/scene/device.h"
 #include "tests/ops/device_run.h"
 
+static double step;
+
 static void make_place(void) {
+    step = 0.04;
     make_dataset_of("place");
 }
 static void make_window(void) {
+    step = 2.0 / 96;
     make_dataset_of("window");
     for (size_t f = 0; f < run.dataset->frame_count; f++) { // as a capture of LLFF's tells them
         run.dataset->frames[f].near = 2;
@@ -26,7 +30,7 @@ static struct rn_train_config place_config(const char *preset, int64_t steps) {
     config.split_pixels = 0;
     config.roulette = 0; // each draws its own lots
     config.smoothing = 0.1;
-    config.step = 0.04;
+    config.step = step;
     config.target_samples = 1024;
     config.initial_rays = 24;
     return config;

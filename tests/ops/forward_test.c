@@ -118,6 +118,23 @@ START_TEST(found_by_the_cameras) {
 }
 END_TEST
 
+START_TEST(what_was_asked_for_stays_before_a_wall) {
+    struct wall w;
+    struct rn_engine *engine = engine_with(1);
+    make_wall(0, true, &w);
+    for (int asked = 0; asked < 2; asked++) {
+        struct rn_train_config config = wall_config(&w);
+        if (asked) config.step = 0.03, config.distortion_loss = 0.125;
+        struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
+        ck_assert(record(t)->on);
+        ck_assert_double_eq(t->field->config.step, asked ? 0.03 : 2.0 / 96);
+        ck_assert_double_eq(t->field->config.distortion_loss, asked ? 0.125 : 0.005);
+        rn_trainer_destroy(&t);
+    }
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 START_TEST(cut_out_scenes_keep_the_ball) {
     struct rn_engine *engine = engine_with(1);
     struct rn_train_config config = config_for(dataset);
@@ -309,6 +326,7 @@ END_TEST
 
 static void add(TCase *tests) {
     tcase_add_test(tests, found_by_the_cameras);
+    tcase_add_test(tests, what_was_asked_for_stays_before_a_wall);
     tcase_add_test(tests, cut_out_scenes_keep_the_ball);
     tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, depth_in_dataset_units);

@@ -359,6 +359,23 @@ START_TEST(photographs_call_for_their_space) {
 }
 END_TEST
 
+START_TEST(what_was_asked_for_stays_in_all_of_space) {
+    struct rn_train_config config = config_for(dataset);
+    struct rn_effect_record records[RN_EFFECT_COUNT];
+    config.effect[RN_EFFECT_UNBOUNDED] = RN_EFFECT_WANTED;
+    config.step = 0.007;
+    config.stop = 0.5;
+    config.occupancy_limit = 0.25;
+    config.distortion_loss = 0.125;
+    rn_effects_prepare(dataset, &config, records);
+    ck_assert(config.field.space == RN_SPACE_UNBOUNDED);
+    ck_assert_double_eq(config.step, 0.007);
+    ck_assert_double_eq(config.stop, 0.5);
+    ck_assert_double_eq(config.occupancy_limit, 0.25);
+    ck_assert_double_eq(config.distortion_loss, 0.125);
+}
+END_TEST
+
 START_TEST(a_figure_does_not_depend_on_interruptions) {
     struct rn_train_config config = config_for(scaled);
     struct rn_engine *engine = engine_with(2);
@@ -641,6 +658,7 @@ static void add_tests(TCase *tests) {
     tcase_add_test(tests, what_lies_by_cameras_begins_empty);
     tcase_add_test(tests, unbounded_space_resumes);
     tcase_add_test(tests, photographs_call_for_their_space);
+    tcase_add_test(tests, what_was_asked_for_stays_in_all_of_space);
     tcase_add_test(tests, a_figure_does_not_depend_on_interruptions);
     tcase_add_test(tests, damaged_checkpoints_are_refused);
     tcase_add_test(tests, earlier_checkpoints_lack_what_came_later);

@@ -160,9 +160,9 @@ static void settle(const struct rn_evidence *e) {
     double angle;
     if (!field->effects[RN_EFFECT_FORWARD_FACING].on) return;
     if (find_space(e, &field->cpu.disparity, &angle)) return;
-    config->step = STEP;
+    rn_train_config_suit_data(config, "step", STEP);
+    rn_train_config_suit_data(config, "distortion_loss", DISTORTION);
     config->cone_step = false;
-    config->distortion_loss = DISTORTION;
 }
 
 static void march(const struct rn_train_config *config, double done, struct rn_march_options *m) {

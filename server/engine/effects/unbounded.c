@@ -18,10 +18,10 @@
 
 static void take_up(struct rn_train_config *c) {
     c->field.space = RN_SPACE_UNBOUNDED;
-    c->step = fmax(c->step, STEP);
-    c->stop = fmax(c->stop, STOP);
-    c->occupancy_limit = OCCUPANCY;
-    c->distortion_loss = DISTORTION;
+    rn_train_config_suit_data(c, "step", fmax(c->step, STEP));
+    rn_train_config_suit_data(c, "stop", fmax(c->stop, STOP));
+    rn_train_config_suit_data(c, "occupancy_limit", OCCUPANCY);
+    rn_train_config_suit_data(c, "distortion_loss", DISTORTION);
     c->cone_step = false;
     // Cameras' distances from the centre say little of footprints that are contracted: levels took
     // fox (300 steps) 20.1 s of one thread to 20.1 dB, points 9.0 s to 19.8.
