@@ -203,6 +203,8 @@ START_TEST(right_poses_are_left_alone) {
     const struct rn_effect_record *r = &with->field->effects[POSE];
     printf("right poses: %s\n", r->reason);
     ck_assert_msg(!r->on && r->decided && isfinite(r->number), "%s", r->reason);
+    ck_assert_int_gt(with->held.frame_count, 3);
+    ck_assert_int_eq(with->poses.view_count, 3); // so short a training is measured by a few
     rn_field_sha256(without->field, hash[0]);
     rn_field_sha256(with->field, hash[1]);
     ck_assert_str_eq(hash[0], hash[1]);

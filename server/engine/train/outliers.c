@@ -13,7 +13,8 @@
 #define STREAM 0x6f75746c69657200u
 #define MEASURED_AT 0.2 // of the schedule: how much of the photographs is left out
 #define LAST_AT 0.8
-#define TURNS 7     // evenly from one to the other
+#define TURNS 7     // evenly from one to the other, at most
+#define SHARE 0.08  // of the rays that are trained on, about: what all passes look at
 #define OTHERS 64   // photographs, at most about, that a block is compared with
 #define WITNESSES 3 // of them that see the place, at least
 #define STANDS 64   // distances at which it may stand, evenly in disparity,
@@ -21,7 +22,7 @@
 #define FARTHEST 0.25
 #define LOOKS 2        // pixels of a block that are looked at
 #define MOST (1 << 18) // blocks of a pass, about
-#define FEWEST 16      // photographs of a pass, where there are as many
+#define FEWEST 32      // photographs of a pass, where there are as many, however short training is
 #define BATCH 128      // rays rendered together, RN_TRAINER_RAYS at most
 
 static const struct rn_effect_record *record_of(const struct rn_trainer *t) {
@@ -122,6 +123,7 @@ static enum rn_status list_blocks(struct rn_trainer *t, struct rn_error *err) {
     if (!o->first) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     o->count = 0;
     if (!o->most) o->most = MOST;
+    if (!(o->affords > 0)) o->affords = SHARE;
     for (int f = 0; f < t->train.frame_count; f++) {
         o->first[f] = o->count;
         o->count += (size_t)across_of(&t->train.frames[f]) * (size_t)down_of(&t->train.frames[f]);
@@ -138,12 +140,30 @@ enum rn_status rn_trainer_allocate_outliers(struct rn_trainer *t, struct rn_erro
     return o->out ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
 }
 
+// A pass looks at every so many-th photograph, the next one at those beside them, so that of 1,000
+// it takes as long as of some, and of a short training no larger a part than of a long one.
+static int apart(const struct rn_trainer *t) {
+    double rays = rn_schedule_rays(&t->field->config, &t->progress);
+    double most = fmin((double)t->outliers.most, t->outliers.affords * rays / (TURNS + 1) / LOOKS);
+    double by_blocks = floor((double)t->outliers.count / fmax(most, 1)) + 1;
+    int by_photographs = t->train.frame_count / FEWEST;
+    return by_blocks < by_photographs ? (int)by_blocks : by_photographs > 1 ? by_photographs : 1;
+}
+
+// How many turns a training of this length can afford, where passes are no smaller than they can be.
+static int turns(const struct rn_trainer *t) {
+    double pass = LOOKS * (double)t->outliers.count / apart(t);
+    double most = t->outliers.affords * rn_schedule_rays(&t->field->config, &t->progress) / pass;
+    return most < 1 ? 1 : most < TURNS ? (int)most : TURNS;
+}
+
 static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
     struct rn_outliers *o = &t->outliers;
     enum rn_status status = list_blocks(t, err);
     if (status != RN_OK || o->difference) return status;
     o->next = 0;
     o->threshold = 0;
+    o->apart = apart(t);
     o->difference = calloc(o->count, sizeof *o->difference);
     o->taken = calloc(o->count, sizeof *o->taken);
     o->known = calloc(o->count, 1);
@@ -156,16 +176,9 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
 
 // ---- a pass -----------------------------------------------------------------------------------
 
-// A pass looks at every so many-th photograph, the next one at those beside them, so that of 1,000
-// it takes as long as of some. What is withheld is not learned, whatever it shows.
-static int apart(const struct rn_trainer *t) {
-    int by_blocks = (int)(t->outliers.count / t->outliers.most) + 1;
-    int by_photographs = t->train.frame_count / FEWEST;
-    return by_blocks < by_photographs ? by_blocks : by_photographs > 1 ? by_photographs : 1;
-}
-
+// What is withheld is not learned, whatever it shows.
 static bool is_looked_at(const struct rn_trainer *t, int f) {
-    return f % apart(t) == t->outliers.turns % apart(t) &&
+    return f % t->outliers.apart == t->outliers.turns % t->outliers.apart &&
            !rn_trainer_withholds(t, t->train.frames[f].frame);
 }
 
@@ -182,8 +195,9 @@ bool rn_trainer_outliers_due(const struct rn_trainer *t) {
     const struct rn_effect_record *record = record_of(t);
     double done = rn_schedule_done(&t->field->config, &t->progress);
     if (!record->decided) return !t->outliers.share_known && done >= MEASURED_AT;
-    return record->on && t->outliers.turns < TURNS &&
-           done >= MEASURED_AT + (LAST_AT - MEASURED_AT) * t->outliers.turns / TURNS;
+    int all = record->on ? turns(t) : 0;
+    return t->outliers.turns < all &&
+           done >= MEASURED_AT + (LAST_AT - MEASURED_AT) * t->outliers.turns / all;
 }
 
 // Pixels of consecutive blocks, in the order of the blocks.
@@ -263,7 +277,7 @@ static struct witnesses ask_others(const struct rn_trainer *t, int f, int block,
     const struct rn_outliers *o = &t->outliers;
     const struct rn_pixel_frame *frame = &t->train.frames[f];
     struct witnesses others = {.seen = 0};
-    int across = across_of(frame), every = apart(t);
+    int across = across_of(frame), every = o->apart;
     int stride = every * (t->train.frame_count / every / OTHERS + 1);
     float size = o->size[o->first[f] + (size_t)block], here[3], there[3];
     struct rn_ray ray = rn_camera_ray(&frame->camera, (block % across + 0.5) * RN_OUTLIER_BLOCK,

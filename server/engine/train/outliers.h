@@ -37,9 +37,11 @@ struct rn_outliers {
     uint8_t *out;       // [count]: 1 where no ray is drawn; NULL: everywhere
     size_t *first;      // [train.frame_count]: of a photograph's blocks
     size_t count, most; // most: of a pass, about; of more photographs every second, third, ...
+    double affords;     // of the rays that are trained on, in all passes
     int turns;          // that are over
-    // The pass under way: means of the differences and of what photographs show, so far, and
-    // photographs done.
+    // The pass under way: it looks at every `apart`-th photograph. Means of the differences and of
+    // what photographs show, so far, and photographs done.
+    int apart;
     float (*difference)[3], (*taken)[3];
     uint8_t *known;
     float *size, *depth; // depth: where the field has what a block shows, bounds' radii

@@ -16,6 +16,8 @@
 #define MEASURING 6      // passes in which held-out cameras are sought, before one that scores them
 #define MEASURED_SIDE 2  // pixels, of squares
 #define MEASURED_SIGHTS 128
+#define MEASURED_SHARE 0.02 // of the rays that are trained on: what measuring takes, of some of the
+#define FEWEST 3            // held-out photographs, these at least
 #define MOVED_SIGHTS 192
 #define DAMPING 0.01
 #define FARTHEST 2.0     // pixels that a turn may move a camera by, about
@@ -81,11 +83,22 @@ static struct rn_pose_photo photo_of(const struct rn_pixels *pixels,
                                   .camera = frame->camera};
 }
 
+// How many held-out photographs are measured by: a sight's pixels are rendered where its camera is
+// and moved along each unknown both ways.
+static int measured_count(const struct rn_trainer *t) {
+    double rays = MEASURING * MEASURED_SIGHTS * MEASURED_SIDE * MEASURED_SIDE *
+                  (1 + 2.0 * RN_POSE_FOCAL);
+    double most = MEASURED_SHARE * rn_schedule_rays(&t->field->config, &t->progress) / rays;
+    int count = t->held.frame_count;
+    return most >= count || count <= FEWEST ? count : most > FEWEST ? (int)most : FEWEST;
+}
+
 static void look_held_out(void *context, int index, int thread) {
     struct rn_trainer *t = context;
     struct rn_pose_view *view = &t->poses.views[index];
     struct rn_pose_looker looker = looker_of(t, thread);
-    struct rn_pose_photo photo = photo_of(&t->held, &t->held.frames[index]);
+    int frame = index * t->held.frame_count / t->poses.view_count; // evenly over all
+    struct rn_pose_photo photo = photo_of(&t->held, &t->held.frames[frame]);
     struct rn_pose_draw draw = {.part = RN_POSE_WHOLE,
                                 .side = MEASURED_SIDE,
                                 .wanted = MEASURED_SIGHTS,
@@ -324,13 +337,14 @@ static enum rn_status begin_pass(struct rn_trainer *t, int count, struct rn_erro
 enum rn_status rn_trainer_refine_poses(struct rn_trainer *t, bool *ret_busy, struct rn_error *err) {
     struct rn_poses *poses = &t->poses;
     bool measures = !record_of(t)->decided;
-    int count = measures ? t->held.frame_count : t->train.frame_count;
     *ret_busy = false;
-    if (measures && count == 0) {
+    if (measures && t->held.frame_count == 0) {
         poses->gain = NAN;
         poses->gain_known = true;
         return RN_OK;
     }
+    bool begun = measures && poses->views;
+    int count = begun ? poses->view_count : measures ? measured_count(t) : t->train.frame_count;
     enum rn_status status = begin_pass(t, count, err);
     if (status != RN_OK) return status;
     *ret_busy = !rn_pool_run_some(t->engine->pool, count, &poses->next,

@@ -21,6 +21,10 @@ double rn_schedule_done(const struct rn_train_config *config, const struct rn_pr
     return done;
 }
 
+double rn_schedule_rays(const struct rn_train_config *config, const struct rn_progress *progress) {
+    return (double)progress->rays / rn_schedule_done(config, progress);
+}
+
 // The limits, so that this share of the schedule is done now.
 static void bring_to(struct rn_train_config *config, const struct rn_progress *progress,
                      double done) {

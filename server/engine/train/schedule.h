@@ -14,6 +14,8 @@
 
 // 0..1 of the binding limit so far, NAN without one.
 double rn_schedule_done(const struct rn_train_config *config, const struct rn_progress *progress);
+// Rays that the whole training will draw if it goes on as it did so far; NAN without a limit.
+double rn_schedule_rays(const struct rn_train_config *config, const struct rn_progress *progress);
 // After a new held-out figure, where the training is to end at its plateau: once the planes have
 // their final size, and half as much time again has gained less than 0.1 dB, the limits are brought
 // so near that the last quarter of the schedule, in which the rate decays, is what is left.
