@@ -22,10 +22,11 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     bool asked = rn_effect_choose(config, RN_EFFECT_CONES, true, config->supersample);
     r->on = asked && e->field->finest_cone > 0;
     if (r->on)
-        snprintf(r->reason, sizeof r->reason,
-                 "pixels of pictures over %.2f times as wide as the finest trained on become several "
-                 "cones; the widest trained on is %.2f times as wide",
-                 RN_CONES_RATIO, exp2(r->number));
+        snprintf(
+            r->reason, sizeof r->reason,
+            "pixels of pictures over %.2f times as wide as the finest trained on become several "
+            "cones; the widest trained on is %.2f times as wide",
+            RN_CONES_RATIO, exp2(r->number));
     else
         snprintf(r->reason, sizeof r->reason, "%s",
                  asked ? "no training pixel's cone has a width" : "the configuration asks for one");

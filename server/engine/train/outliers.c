@@ -14,7 +14,7 @@
 #define MEASURED_AT 0.2 // of the schedule: how much of the photographs is left out
 #define LAST_AT 0.8
 #define TURNS 7     // evenly from one to the other, at most
-#define SHARE 0.08  // of the rays that are trained on, about: what all passes look at
+#define SHARE 0.08  // of the rays trained on, about: what all passes take that nobody asked for
 #define OTHERS 64   // photographs, at most about, that a block is compared with
 #define WITNESSES 3 // of them that see the place, at least
 #define STANDS 64   // distances at which it may stand, evenly in disparity,
@@ -123,7 +123,8 @@ static enum rn_status list_blocks(struct rn_trainer *t, struct rn_error *err) {
     if (!o->first) return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
     o->count = 0;
     if (!o->most) o->most = MOST;
-    if (!(o->affords > 0)) o->affords = SHARE;
+    bool wanted = t->field->config.effect[RN_EFFECT_ROBUST_LOSS] == RN_EFFECT_WANTED;
+    if (!(o->affords > 0)) o->affords = wanted ? INFINITY : SHARE;
     for (int f = 0; f < t->train.frame_count; f++) {
         o->first[f] = o->count;
         o->count += (size_t)across_of(&t->train.frames[f]) * (size_t)down_of(&t->train.frames[f]);
@@ -150,7 +151,8 @@ static int apart(const struct rn_trainer *t) {
     return by_blocks < by_photographs ? (int)by_blocks : by_photographs > 1 ? by_photographs : 1;
 }
 
-// How many turns a training of this length can afford, where passes are no smaller than they can be.
+// How many turns a training of this length can afford, where passes are no smaller than they can
+// be.
 static int turns(const struct rn_trainer *t) {
     double pass = LOOKS * (double)t->outliers.count / apart(t);
     double most = t->outliers.affords * rn_schedule_rays(&t->field->config, &t->progress) / pass;

@@ -86,8 +86,8 @@ static struct rn_pose_photo photo_of(const struct rn_pixels *pixels,
 // How many held-out photographs are measured by: a sight's pixels are rendered where its camera is
 // and moved along each unknown both ways.
 static int measured_count(const struct rn_trainer *t) {
-    double rays = MEASURING * MEASURED_SIGHTS * MEASURED_SIDE * MEASURED_SIDE *
-                  (1 + 2.0 * RN_POSE_FOCAL);
+    double rays =
+        MEASURING * MEASURED_SIGHTS * MEASURED_SIDE * MEASURED_SIDE * (1 + 2.0 * RN_POSE_FOCAL);
     double most = MEASURED_SHARE * rn_schedule_rays(&t->field->config, &t->progress) / rays;
     int count = t->held.frame_count;
     return most >= count || count <= FEWEST ? count : most > FEWEST ? (int)most : FEWEST;
