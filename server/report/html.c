@@ -20,6 +20,8 @@ static const char head[] =
     ".wide{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}"
     "th,td{padding:.25em .7em;text-align:right;border-bottom:1px solid #8884;white-space:nowrap}"
     "th:first-child,td:first-child{text-align:left}small{opacity:.7}"
+    ".wide small{display:block}thead th{white-space:normal;vertical-align:bottom}"
+    "@media print{.wide{overflow:visible;font-size:10px}.wide th,.wide td{padding:.2em .4em}}"
     ".plots{display:flex;flex-wrap:wrap;gap:1.2em}"
     ".legend{list-style:none;padding:0;columns:22em}.legend i{display:inline-block;width:1.1em;"
     "height:.7em;margin-right:.5em;border-radius:2px}"
@@ -112,7 +114,7 @@ static void put_arms(const struct rn_ladder_report *report, struct rn_buf *out) 
     }
     end_table(out);
     rn_buf_printf(out,
-                  "<p><small>Means over seeds, the lowest and the highest beside them. What an "
+                  "<p><small>Means over seeds, the lowest and the highest below them. What an "
                   "arm gains over the first is counted in pairs of one seed.</small></p>\n");
 }
 

@@ -38,6 +38,7 @@ def client(build, tmp_path):
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
     run.url = url
+    run.folder = tmp_path
     run("synth", "sphere", "photos", "--size", "32", "--views", "8")
     run("import", "photos", "--name", "data")
     run("train", "data", "--name", "ball", "--max-steps", "20", "--wait")

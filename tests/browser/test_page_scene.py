@@ -4,6 +4,7 @@ a report that needs nothing beside it."""
 import re
 
 import pytest
+from test_links import client  # noqa: F401  pylint: disable=unused-import
 from test_page_paths import measured
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
@@ -125,3 +126,28 @@ def test_a_report_is_whole_in_one_file(page, fake, downloads):
         "return [...document.images].every((i) => i.naturalWidth > 50);"), "its pictures")
     page.says("Worst, test:0", "figcaption")
     page.says("30.40 dB", "td")
+    cells = page.run("return [...document.querySelectorAll('tr')].map((row) => [...row.cells].map((c) => c.textContent));")
+    assert next(row for row in cells if row[0] == "Scale pyramid")[3:5] == ["8 times", "if over 1.41 times"]
+    assert next(row for row in cells if row[0] == "Forward facing")[3:5] == ["87.4 degrees", "if at most 30 degrees"]
+
+
+def test_a_report_has_no_heading_over_nothing(page, fake, downloads):
+    page.open(fake("busy").url + "#/scene/sphere-draft")
+    page.says("Not evaluated yet")
+    downloads.clear()
+    page.press("Report")
+    page.open(downloads.saved(page, "sphere-draft-report.html").as_uri())
+    assert [e.text for e in page.all("h2")] == ["Views", "Training", "Effects", "Compared with the paper"]
+
+
+def test_a_ladder_s_table_is_cut_off_neither_on_a_screen_nor_on_paper(page, client):  # noqa: F811  pylint: disable=redefined-outer-name
+    client("ladder", "data", "--over", "footprint=rip,mip", "--seeds", "2", "--max-steps", "5", "--equal", "steps",
+           "--report", "report.html")
+    page.open((client.folder / "report.html").as_uri())
+    for media, width in (("screen", 1280), ("print", 718)):  # A4 between margins of 1 cm
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
+        page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False})
+        wide, room = page.run("const box = document.querySelector('.wide');"
+                              "return [box.scrollWidth, box.clientWidth];")
+        assert wide <= room, media

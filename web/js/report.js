@@ -4,7 +4,7 @@ import {drawChart} from './chart.js';
 import {differenceOf} from './difference.js';
 import {h} from './dom.js';
 import {bytes, decibel, fixed, milliseconds, plural, seconds, whole} from './format.js';
-import {effectTitle} from './views/effects.js';
+import {conditionWords, effectTitle} from './views/effects.js';
 import {drawCost} from './views/curve.js';
 
 const PICTURE_SIDE = 400;  // pixels, of the longer side
@@ -124,7 +124,6 @@ function viewsToShow(cameras, evaluation) {
 }
 
 const evaluationTable = (evaluations) =>
-    evaluations.length &&
     table(
         [
           ['Views'], ['PSNR', 'number'], ['SSIM', 'number'], ['A picture', 'number'],
@@ -141,12 +140,13 @@ const evaluationTable = (evaluations) =>
 function effectsTable(scene, measured) {
   const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
   return scene.effects.length &&
-      table([['Effect'], ['State'], ['Why'], ['Gain', 'number'], ['Cost', 'number']],
+      table([['Effect'], ['State'], ['Why'], ['Number', 'number'], ['On', 'number'], ['Gain', 'number'], ['Cost', 'number']],
             scene.effects.map((effect) => {
               const gain = gains.get(effect.name);
               return [
                 effectTitle(effect.name),
-                effect.decided ? effect.on ? 'on' : 'off' : 'open', effect.reason,
+                effect.decided ? effect.on ? 'on' : 'off' : 'open', effect.reason, effect.number_text ?? '–',
+                conditionWords(effect).replace(/^on /, '') || '–',
                 gain && gain.gain !== null ? decibel(gain.gain) : '–',
                 gain && gain.cost !== null ? `${fixed(100 * gain.cost, 0)} %` : '–'
               ];
@@ -216,8 +216,12 @@ export async function reportOf(id, signal) {
                     'T', ' ')} UTC${info ? `, on ${info.device_name || info.device}` : ''}`),
           factsTable(facts(scene, dataset)), section('Views', shown),
           section(
-              'Evaluations', evaluationTable(evaluations ?? []),
-              h('p', {class: 'quiet'}, 'PSNR and SSIM against photographs, means over the views.')),
+              'Evaluations',
+              evaluations?.length &&
+                  [
+                    evaluationTable(evaluations),
+                    h('p', {class: 'quiet'}, 'PSNR and SSIM against photographs, means over the views.')
+                  ]),
           section(
               'Training',
               points.length &&

@@ -41,13 +41,14 @@ const row = (effect, gain) =>
         h('p', {class: 'quiet'}, effect.reason),
         gain ? h('p', {class: 'effect-gain'}, gainWords(gain)) : null),
       h('span', {class: 'number'}, effect.number_text ?? '–',
-        effect.threshold_text ?
-            h('small', {class: 'line'}, `${condition(effect)} ${effect.threshold_text}`) :
-            null));
+        effect.threshold_text ? h('small', {class: 'line'}, conditionWords(effect)) : null));
 
-/** How the number is held against the threshold; not known of scenes of an older build. */
-const condition = ({below}) =>
-    (below === undefined ? 'threshold' : below ? 'on if at most' : 'on if over');
+/**
+ * How the number is held against the threshold, which an older build did not tell; empty where it is
+ * held against none.
+ */
+export const conditionWords = ({below, threshold_text: threshold}) => !threshold ? '' :
+    `${below === undefined ? 'threshold' : below ? 'on if at most' : 'on if over'} ${threshold}`;
 
 /** Off, and nothing that the photographs call for. */
 const isIdle = ({decided, on, number, threshold, below}) =>
