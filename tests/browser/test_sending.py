@@ -169,6 +169,68 @@ dispatchEvent(closing); return closing.defaultPrevented;"""
     assert [item["name"] for item in api.world.datasets] == ["ball"]
 
 
+def leave_and_return(page):
+    page.run("location.hash = '#/jobs';")
+    page.says("Jobs", "h1")
+    page.run("location.hash = '#/';")
+    page.says("Upload ball", "[aria-label='Under way']")
+
+
+def test_an_upload_whose_view_was_left_is_told_and_can_be_cancelled(page, fake, folder):
+    api = fake("empty")
+    api.world.line_dead_below = 1 << 30
+    choose(page, api, folder)
+    page.press("Upload and import")
+    page.says("The connection is lost. It goes on where it was, once the daemon answers.")
+    assert "Upload ball" not in page.text("main")  # its form tells of it
+    leave_and_return(page)
+    page.press("Cancel")
+    page.until(lambda: "Upload ball" not in page.text("main"), "the upload gone")
+    page.until(lambda: not api.world.uploads, "what was sent to be given up")
+    assert not api.world.datasets and page.complaints() == []
+
+
+def test_an_upload_that_fails_after_its_view_was_left_says_why(page, fake, folder):
+    api = fake("empty")
+    choose(page, api, folder)
+    page.says("5 train", ".preview .facts")
+    page.run("const {api, Problem} = await load('api.js');"
+             "api.sendPart = () => new Promise((_, refuse) => { window.fail = () =>"
+             " refuse(new Problem(507, {title: 'No space', detail: 'the disk is full'})); });")
+    page.press("Upload and import")
+    page.until(lambda: page.run("return Boolean(window.fail);"), "a part on its way")
+    leave_and_return(page)
+    page.run("window.fail();")
+    page.says("the disk is full", "body")
+    page.until(lambda: "Upload ball" not in page.text("main"), "the upload gone")
+
+
+def test_an_upload_goes_on_when_the_page_has_found_the_daemon(page, fake):
+    """Not at the end of a wait of its own, of 8 s after some failures."""
+    page.open(fake("empty").url)
+    page.find(".drop")
+    tries = page.run("""
+const [{api, Unreachable}, {sendInParts}, {state, noteUpload}] =
+    await Promise.all(['api.js', 'sending.js', 'store.js'].map(load));
+const status = async (word) => {
+  state.connection.status = word;
+  noteUpload('any', null);  // tells all who watch
+  await Promise.resolve();
+};
+let tries = 0;
+api.beginUpload = async () => {
+  if (++tries < 20) throw new Unreachable();
+  return {id: 'up', offset: 0};
+};
+await sendInParts(new Blob([]), 'any', {
+  onProgress: () => {},
+  onWait: async () => { await status('offline'); await status('online'); },
+  signal: new AbortController().signal
+});
+return tries;""")
+    assert tries == 20
+
+
 def test_photographs_are_chosen_as_files_where_there_is_no_folder(page, fake, folder):
     """As of a phone's gallery: whose cameras are looked for."""
     page.open(fake("empty").url)

@@ -511,6 +511,12 @@ def test_daemon_goes_and_comes_back(page, fake):
     page.says("sphere-draft")
     api.stop()
     page.says("No connection to the daemon", "#banner")
+    # As where it still answered, that it ends; until the page tries again.
+    refused = """
+const {state} = await load('store.js');
+state.connection.problem = {message: 'the daemon is shutting down'};
+return document.getElementById('banner').textContent;"""
+    page.until(lambda: "daemon. It says: the daemon is shutting down. Trying" in page.run(refused), "what it said")
     page.says("not connected", ".connection")
     page.says("sphere-draft")
     page.run("location.hash = '#/dataset/sphere';")

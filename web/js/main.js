@@ -80,7 +80,7 @@ function showConnection({connection, jobs, uploads, info}) {
   text(
       activity,
       [
-        ...Object.values(uploads).map((share) => `uploading ${Math.floor(100 * share)} %`),
+        ...Object.values(uploads).map(({share}) => `uploading ${Math.floor(100 * share)} %`),
         ...['running', 'queued', 'paused'].filter(count).map((name) => `${count(name)} ${name}`)
       ].join(', '));
   activity.hidden = !activity.textContent;
@@ -121,9 +121,10 @@ function startBanner() {
     if (banner.hidden) return;
     const left = Math.max(0, Math.ceil((state.connection.retryAt - Date.now()) / 1000));
     text(title, refused() ? 'The daemon asks for a token.' : 'No connection to the daemon.');
+    const told = state.connection.problem?.message;
     const why = refused() ? 'Nothing can be shown without one.' :
-                            state.connection.problem?.message ??
-            'What is shown is from before; jobs go on without this page.';
+        told              ? `It says: ${told.replace(/[.]$/, '')}.` :
+                            'What is shown is from before; jobs go on without this page.';
     text(words, `${why} ${left ? `Trying again in ${left} s.` : 'Trying…'}`);
   }, 250);
 }

@@ -1,6 +1,7 @@
 // Sending a tar in parts: after a lost connection it goes on where the daemon has it.
 import {api, Problem, Unreachable} from './api.js';
 import {sleep} from './dom.js';
+import {watch} from './store.js';
 
 const FIRST_PART = 4 << 20;
 const MOST_PART = 64 << 20;
@@ -13,8 +14,8 @@ const passes = (error) => error instanceof Unreachable ||
 
 /**
  * @param {Blob} tar @param {string} name the dataset's
- * @param {{onProgress: (sent: number) => void, onWait: (ms: number, error: Error) => void,
- *     signal: AbortSignal}} host onWait: a pause of so long, after a failure that passes
+ * @param {{onProgress: (sent: number) => void, onWait: (error: Error) => void,
+ *     signal: AbortSignal}} host onWait: a pause, after a failure that passes
  * @returns {Promise<string>} the id of the upload, which is whole
  */
 export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
@@ -23,7 +24,7 @@ export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
     if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
     if (!passes(error)) throw error;
     const ms = WAITS_MS[Math.min(failures++, WAITS_MS.length - 1)];
-    onWait(ms, error);
+    onWait(error);
     await online(ms, signal);
   };
   const patiently = async (ask) => {
@@ -63,12 +64,17 @@ export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
   return upload.id;
 }
 
-/** Waits so long, or until the browser says that it is online again. */
+/** Waits so long, or until the browser is online again, or the page has found the daemon again. */
 async function online(ms, signal) {
   const early = new AbortController();
   const wake = () => early.abort();
-  addEventListener('online', wake, {once: true});
+  let away = false;
+  addEventListener('online', wake, {signal: early.signal});
+  watch(({connection}) => {
+    if (away && connection.status === 'online') wake();
+    away = connection.status !== 'online';
+  }, early.signal);
   await sleep(ms, AbortSignal.any([signal, early.signal]));
-  removeEventListener('online', wake);
+  wake();
   if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
 }

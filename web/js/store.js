@@ -8,7 +8,7 @@ export const state = {
   connection: {status: 'connecting', retryAt: 0, problem: null},
   loaded: false,
   info: null,
-  uploads: {},  // of this page, under way: dataset's name -> the share that is sent
+  uploads: {},  // of this page, under way: dataset's name -> {share, signal, cancel}
   /** @type {any[]} newest first */
   datasets: [],
   /** @type {any[]} */
@@ -36,12 +36,15 @@ export function watch(watcher, signal) {
   watcher(state);
 }
 
-/** How far this page has sent a dataset; null: it is over. */
-export function noteUpload(name, share) {
-  if (share === null)
+/**
+ * A dataset that this page sends; null: it is over. @param {{share: number, signal: AbortSignal,
+ *     cancel: () => void}|null} upload the share that is sent; aborted once its view was left
+ */
+export function noteUpload(name, upload) {
+  if (upload === null)
     delete state.uploads[name];
   else
-    state.uploads[name] = share;
+    state.uploads[name] = upload;
   changed();
 }
 

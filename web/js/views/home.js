@@ -4,7 +4,7 @@ import {fill, follow, h, lazyImage, text} from '../dom.js';
 import {isActive, isVisitor, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
 import {cameraOf, defaultOrbit} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
-import {chip, confirmFirst, empty, panel, scroller, setChip, skeleton} from '../ui.js';
+import {action, chip, confirmFirst, empty, meter, panel, scroller, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
 import {jobRow} from './jobs.js';
 import {uploadPanel} from './upload.js';
@@ -16,7 +16,8 @@ export function homeView(root, {signal}) {
   const tableBody = h('tbody');
   const datasetBox = h('div');
   const running = h('div', {class: 'rows'});
-  const runningBox = panel('Under way', {class: 'panel', hidden: true}, running);
+  const sending = h('div', {class: 'rows'});
+  const runningBox = panel('Under way', {class: 'panel', hidden: true}, sending, running);
   const table = scroller(
       'Datasets', null,
       h('table', {class: 'table'},
@@ -43,7 +44,10 @@ export function homeView(root, {signal}) {
   watch((state) => {
     if (state.loaded && isVisitor()) return showVisit(root, state);
     const active = state.jobs.filter(isActive);
-    runningBox.hidden = !active.length;
+    // Uploads whose form was left: until then that tells of them.
+    const left = Object.entries(state.uploads).filter(([, upload]) => upload.signal.aborted);
+    runningBox.hidden = !active.length && !left.length;
+    follow(sending, left, ([name]) => name, uploadRow);
     follow(running, active, (job) => job.id, jobRow);
     side.toggleAttribute('data-first', state.loaded && !state.datasets.length);
     if (!adding && may('train')) side.prepend(adding = uploadPanel(signal));
@@ -63,6 +67,16 @@ export function homeView(root, {signal}) {
     } else
       fill(datasetBox, empty('No datasets'));
   }, signal);
+}
+
+/** An upload of this page that goes on. */
+function uploadRow([name, {cancel}]) {
+  const bar = meter(`Upload of ${name}`);
+  return {
+    node: h('div', {class: 'job-row'}, h('div', {class: 'row'}, h('span', null, 'Upload ', h('strong', null, name))),
+            bar.node, h('div', {class: 'row'}, action('Cancel', cancel, {kind: 'small'}))),
+    update: ([, {share}]) => bar.set(share, `${Math.floor(100 * share)} % sent`)
+  };
 }
 
 function noScenes(datasets) {

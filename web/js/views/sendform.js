@@ -1,11 +1,12 @@
 // The form around what is sent in: what it says of it, its fields, and buttons that give way to a
 // meter and Cancel while it is on its way.
 import {fill, h} from '../dom.js';
-import {meter, showFaults} from '../ui.js';
+import {meter, showFaults, toast} from '../ui.js';
 
 /**
  * @param {{words: string, fields: any[], back: () => void, isReady?: () => boolean,
- *     send: (bar: any, stop: AbortSignal) => Promise<void>}} how `words`: on the button that sends
+ *     send: (bar: any, stop: AbortSignal, cancel: () => void) => Promise<void>}} how `words`: on the
+ *     button that sends
  * @param {any} above the buttons
  * @param {any} below
  */
@@ -21,8 +22,9 @@ export function sendForm({words, fields, back, isReady = () => true, send}, abov
     fill(progress, bar.node);
     fill(buttons, h('button', {type: 'button', onclick: () => stop.abort()}, 'Cancel'));
     try {
-      await send(bar, stop.signal);
+      await send(bar, stop.signal, () => stop.abort());
     } catch (error) {
+      if (!node.isConnected && error.name !== 'AbortError') toast(error);  // its view was left
       fill(progress);
       showFault(error.name === 'AbortError' ? null : error);
       ready();

@@ -1,13 +1,13 @@
 // Add a dataset: drop or choose a folder or an archive, see what would be sent, send it, watch the
 // import. A scene that was exported is taken in here too.
-import {api, Problem} from '../api.js';
+import {api, Problem, Unreachable} from '../api.js';
 import {entriesOfArchive, isArchive} from '../archive.js';
 import {checkPhotographs} from '../photocheck.js';
 import {sendInParts} from '../sending.js';
 import {entriesOfDrop, entriesOfInput, planUpload, safeName} from '../folder.js';
 import {fill, h, text} from '../dom.js';
 import {find, isActive, noteUpload, putJob, refreshSoon, state, watch} from '../store.js';
-import {bytes, plural} from '../format.js';
+import {bytes, plural, seconds} from '../format.js';
 import {
   action,
   choice,
@@ -184,20 +184,24 @@ function planForm(plan, {back, follow, signal}) {
   const preview = createPreview(
       plan, {...options, looks: bad.looks, onFault: (error) => form.showFault(error)},
       looking.signal);
-  async function send(bar, stop) {
+  async function send(bar, stop, cancel) {
     const entries = plan.entries.filter(({path}) => !bad.leftOut().has(path));
     const tar = tarOf(entries);
     const dataset = name.control.value.trim();
     const settings = {...(plan.poses && {poses: plan.poses}), ...options.values()};
-    const show = rateWords(tar.size);
+    const note = (sent) => noteUpload(dataset, {share: sent / tar.size, signal, cancel});
+    let show = rateWords(tar.size);
+    note(0);
     try {
       const upload = await sendInParts(tar, dataset, {
         onProgress: (sent) => {
-          noteUpload(dataset, sent / tar.size);
+          note(sent);
           bar.set(sent / tar.size, show(sent));
         },
-        onWait: (ms) => bar.set(
-            null, `The connection is lost. It goes on in ${Math.ceil(ms / 1000)} s where it was.`),
+        onWait: (error) => {
+          show = rateWords(tar.size);
+          bar.set(null, waitWords(error));
+        },
         signal: stop
       });
       const wanted = {name: dataset, upload};
@@ -240,13 +244,21 @@ function planForm(plan, {back, follow, signal}) {
   return form.node;
 }
 
-/** "sent 3 MB of 9 MB · 2 MB/s": the rate of this page's own sending. */
+/** What of a failure that passes is told while it is waited for. */
+const waitWords = (error) => error instanceof Unreachable ?
+    'The connection is lost. It goes on where it was, once the daemon answers.' :
+    `${error.message}. It goes on where it was, by itself.`;
+
+/** "sent 3 MB of 9 MB · 2 MB/s, 3 s left": the rate since sending began, or went on. */
 function rateWords(size) {
   const started = performance.now();
+  let first = null;
   return (sent) => {
-    const rate = sent / Math.max(0.05, (performance.now() - started) / 1000);
-    return sent < size ? `sent ${bytes(sent)} of ${bytes(size)} · ${bytes(rate)}/s` :
-                         'sent; the daemon takes it in';
+    first ??= sent;
+    const rate = (sent - first) / Math.max(0.05, (performance.now() - started) / 1000);
+    if (sent >= size) return 'sent; the daemon takes it in';
+    const told = rate ? ` · ${bytes(rate)}/s, ${seconds(Math.ceil((size - sent) / rate))} left` : '';
+    return `sent ${bytes(sent)} of ${bytes(size)}${told}`;
   };
 }
 
