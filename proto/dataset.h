@@ -75,7 +75,7 @@ extern const struct rn_table rn_bounds_record_table;
 
 struct rn_report_problem {
     int severity; // rn_severity_names
-    char where[256], text[384];
+    char where[256], text[512];
 };
 // What an import by some options would keep, and what a training with `standard` takes of that.
 struct rn_import_choice {

@@ -131,7 +131,7 @@ enum rn_severity { RN_SEVERITY_INFO, RN_SEVERITY_WARNING, RN_SEVERITY_ERROR };
 struct rn_problem {
     enum rn_severity severity;
     char where[256];
-    char text[384];
+    char text[512];
 };
 // Bounded list; further problems are only counted. Zero-initialise; rn_problems_finish frees.
 struct rn_problems {

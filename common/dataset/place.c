@@ -337,15 +337,21 @@ enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
 
 // ---- what is told ----
 
+static const char *side(bool over) {
+    return over ? "over" : "under";
+}
+
 static void tell_of_what_is_seen(const struct rn_scene_place *place, char *text, size_t capacity) {
     if (place->cut_out)
         snprintf(text, capacity, "an alpha channel cuts it out");
     else if (isnan(place->beyond))
         snprintf(text, capacity, "no points say how far what they see reaches");
     else
-        snprintf(text, capacity, "%.0f %% of %zu %s lie farther than the cameras (%.0f)",
+        snprintf(text, capacity,
+                 "%.0f %% of %zu %s lie farther than the cameras (%s the threshold of %.0f %%)",
                  100 * place->beyond, place->witnesses,
-                 place->by_points ? "points" : "places at the poses' depths", 100 * BEYOND);
+                 place->by_points ? "points" : "places at the poses' depths",
+                 side(place->beyond > BEYOND), 100 * BEYOND);
 }
 
 static void tell_slope(double below_deg, char *text, size_t capacity) {
@@ -357,19 +363,19 @@ static void tell_slope(double below_deg, char *text, size_t capacity) {
         snprintf(text, capacity, "straight ahead");
 }
 
-// The thresholds stand in brackets behind what was measured.
 void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place *place) {
-    char seen[96], slope[32];
+    char seen[128], slope[32];
     const double *up = place->lie.up;
     tell_of_what_is_seen(place, seen, sizeof seen);
     tell_slope(place->below_deg, slope, sizeof slope);
-    rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
-                    "%s: view directions have a mean of length %.2f (%.1f), half of the axes pass "
-                    "one point within %.0f %% of its distance (%.0f), they look %s (%d down), "
-                    "%s; up is %.3g,%.3g,%.3g, %s, half of the cameras askew by %.1f "
-                    "degrees at most",
-                    rn_capture_titles[place->lie.kind], place->alignment, FORWARD,
-                    100 * fmin(place->miss, 9.99), 100 * CONVERGENT, slope, STEEP_DEG, seen, up[0],
-                    up[1], up[2], place->lie.up_given ? "as given" : "by the cameras",
-                    place->tilt_deg);
+    rn_problems_add(
+        reader->problems, RN_SEVERITY_INFO, reader->folder,
+        "%s: view directions have a mean of length %.2f (%s the threshold of %.1f), half "
+        "of the axes pass one point within %.0f %% of its distance (%s the threshold of "
+        "%.0f %%), they look %s (%s the threshold of %d degrees), %s; up is "
+        "%.3g,%.3g,%.3g, %s, half of the cameras askew by %.1f degrees at most",
+        rn_capture_titles[place->lie.kind], place->alignment, side(place->alignment >= FORWARD),
+        FORWARD, 100 * fmin(place->miss, 9.99), side(place->miss > CONVERGENT), 100 * CONVERGENT,
+        slope, side(place->below_deg >= STEEP_DEG), STEEP_DEG, seen, up[0], up[1], up[2],
+        place->lie.up_given ? "as given" : "by the cameras", place->tilt_deg);
 }

@@ -419,14 +419,14 @@ static void find_effects(struct all *all) {
     if (lens.most > RN_LENS_SHIFT)
         rn_problems_add(
             all->problems, RN_SEVERITY_INFO, d->name,
-            "the lens moves what is seen by up to %.3g pixels (%.2g): training follows it "
-            "(effect distortion)",
+            "the lens moves what is seen by up to %.3g pixels, over the threshold of %.2g: "
+            "training follows it (effect distortion)",
             lens.most, RN_LENS_SHIFT);
     double past = rn_share_past(d, &d->bounds, rn_share_left_out(d) > RN_SHARE_LEFT_OUT);
     if (past > RN_SHARE_PAST)
         rn_problems_add(all->problems, RN_SEVERITY_INFO, d->name,
-                        "%.0f %% of the pixels look past what all cameras look at (%.0f): training "
-                        "%s",
+                        "%.0f %% of the pixels look past what all cameras look at, over the "
+                        "threshold of %.0f %%: training %s",
                         100 * past, 100 * RN_SHARE_PAST,
                         rn_faces_one_way(d)   ? FORWARD
                         : rn_looks_one_way(d) ? FORWARD " where an import finds these, else " ROUND

@@ -86,6 +86,12 @@ START_TEST(kinds) {
     ck_assert_int_eq(place.lie.kind, _i / 2);
     ck_assert_int_eq(place.bounds.source, RN_BOUNDS_POINTS);
     ck_assert_double_gt(place.lie.up[2], cos(3 * M_PI / 180));
+    bool forward = place.lie.kind == RN_CAPTURE_FORWARD;
+    ck_assert(told(forward ? "(over the threshold of 0.9)" : "(under the threshold of 0.9)"));
+    ck_assert(
+        told(place.miss > 0.25 ? "(over the threshold of 25 %)" : "(under the threshold of 25 %)"));
+    ck_assert(told(place.beyond > 0.1 ? "(over the threshold of 10 %)"
+                                      : "(under the threshold of 10 %)"));
 }
 END_TEST
 
@@ -163,9 +169,10 @@ END_TEST
 // Which way cameras look is said of an angle without a sign.
 START_TEST(slopes) {
     static const char *const words[] = {
-        "they look 17 degrees up (25 down)", "they look 1 degree up (25 down)",
-        "they look straight ahead (25 down)", "they look 1 degree down (25 down)",
-        "they look 40 degrees down (25 down)"};
+        "they look 17 degrees up (under the threshold of 25 degrees)",
+        "they look 1 degree up (under", "they look straight ahead (under",
+        "they look 1 degree down (under",
+        "they look 40 degrees down (over the threshold of 25 degrees)"};
     static const double below_deg[] = {-17.2, -0.8, -0.3, 1.2, 40};
     put_capture(RN_CAPTURE_OBJECT, false, origin);
     place.below_deg = below_deg[_i];
