@@ -49,6 +49,7 @@ static const struct rn_field_spec viewing[] = {
     RN_F_TEXT(S, dataset, RN_REQUIRED, NULL),
     RN_F_TEXT(S, parameters_sha256, RN_REQUIRED, NULL),
     RN_F_TEXT(S, version, RN_REQUIRED, NULL),
+    RN_F_OBJECT(S, start, 0, &rn_scene_start_table),
 };
 const struct rn_table rn_viewing_table = RN_TABLE(S, "a scene for viewing", viewing);
 #undef S

@@ -3,6 +3,7 @@
 #define RN_PROTO_SCENE_H
 
 #include "common/settings/train.h"
+#include "proto/camera.h"
 #include "proto/codec.h"
 #include "proto/dataset.h"
 #include "proto/marks.h"
@@ -29,12 +30,13 @@ struct rn_effect_entry {
 
 // What a scene that came as a file for viewing is; bits absent: it was trained here.
 struct rn_viewing_record {
-    int64_t bits, views;        // of a value of its planes; that the figures are means over
-    int split;                  // rn_split_names, of these views
-    double psnr, trained, loss; // dB: its own, the original's, the difference
-    char dataset[RN_NAME_MAX];  // that it was trained on, there
-    char parameters_sha256[65]; // of the original
-    char version[32];           // of the program that wrote the file
+    int64_t bits, views;         // of a value of its planes; that the figures are means over
+    int split;                   // rn_split_names, of these views
+    double psnr, trained, loss;  // dB: its own, the original's, the difference
+    char dataset[RN_NAME_MAX];   // that it was trained on, there
+    char parameters_sha256[65];  // of the original
+    char version[32];            // of the program that wrote the file
+    struct rn_scene_start start; // absent of files that older builds wrote
 };
 
 extern const struct rn_table rn_viewing_table;

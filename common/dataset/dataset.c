@@ -332,6 +332,16 @@ const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum r
     return bsearch(&key, dataset->frames, dataset->frame_count, sizeof key, compare_frames);
 }
 
+const struct rn_frame *rn_dataset_start(const struct rn_dataset *dataset) {
+    const struct rn_frame *first = NULL;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        bool better = !first || (frame->split == RN_SPLIT_TEST && first->split != RN_SPLIT_TEST);
+        if (frame->scale == 0 && better) first = frame;
+    }
+    return first;
+}
+
 static enum rn_status find_by_name(const struct rn_dataset *dataset, const char *view,
                                    enum rn_split split, const char *name, int scale,
                                    const struct rn_frame **ret_frame, struct rn_error *err) {

@@ -194,6 +194,8 @@ enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
 // First frame of (split, index, scale) or NULL. O(log n).
 const struct rn_frame *rn_dataset_frame(const struct rn_dataset *dataset, enum rn_split split,
                                         int index, int scale);
+// Where to begin to look: the first test view, else the first, as large as it is. NULL: no view.
+const struct rn_frame *rn_dataset_start(const struct rn_dataset *dataset);
 // Resolves "test:12" (zero-based index) or "test:r_12" (name) at a scale. RN_ERROR_INVALID for
 // another form, RN_ERROR_NOT_FOUND, RN_ERROR_CONFLICT when several views bear the name.
 enum rn_status rn_dataset_find_view(const struct rn_dataset *dataset, const char *view, int scale,

@@ -8,6 +8,7 @@
 #include "common/base/manifest.h"
 #include "proto/camera.h"
 #include "proto/job.h"
+#include "proto/scene.h"
 #include "server/api/app.h"
 
 // The dataset of that name or id, kept for the next request. NULL: replied with an error.
@@ -92,24 +93,41 @@ void rn_list_cameras(void *context, struct rn_request *request, struct rn_reply 
     rn_buf_finish(&json);
 }
 
-// Where to begin to look at a scene: the first test view, else the first view.
-static void reply_start(const struct rn_dataset *dataset, struct rn_reply *reply) {
+static void reply_start(const struct rn_scene_start *start, struct rn_reply *reply) {
     struct rn_error err = {0};
-    const double *up = dataset->lie.up;
-    const struct rn_frame *first = NULL;
     char *json = NULL;
-    for (size_t i = 0; i < dataset->frame_count; i++) {
-        const struct rn_frame *frame = &dataset->frames[i];
-        bool better = !first || (frame->split == RN_SPLIT_TEST && first->split != RN_SPLIT_TEST);
-        if (frame->scale == 0 && better) first = frame;
-    }
-    if (first == NULL) {
-        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the scene's dataset has no view");
-        return;
-    }
-    struct rn_scene_start start = {.camera = first->camera, .up = {up[0], up[1], up[2]}};
-    enum rn_status status = rn_encode(&rn_scene_start_table, &start, &json, NULL, &err);
+    enum rn_status status = rn_encode(&rn_scene_start_table, start, &json, NULL, &err);
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
+}
+
+static void start_of_dataset(const struct rn_dataset *dataset, struct rn_reply *reply) {
+    const double *up = dataset->lie.up;
+    const struct rn_frame *first = rn_dataset_start(dataset);
+    if (first != NULL)
+        reply_start(&(struct rn_scene_start){first->camera, {up[0], up[1], up[2]}}, reply);
+    else
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "the scene's dataset has no view");
+}
+
+// As the file for viewing tells that the scene came as.
+static void start_of_file(const struct rn_scene_row *row, struct rn_reply *reply) {
+    struct rn_error err = {0};
+    struct rn_scene_description description;
+    const struct rn_scene_start *start = &description.viewing.start;
+    enum rn_status status = RN_OK;
+    rn_message_init(&rn_scene_description_table, &description);
+    if (row->record != NULL)
+        status = rn_decode(&rn_scene_description_table, row->record, strlen(row->record),
+                           &description, NULL, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    if (start->camera.width > 0)
+        reply_start(start, reply);
+    else
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND,
+                         "the scene '%s' has no photographs here, and its file, of an older build, "
+                         "tells no camera; export it again",
+                         row->name);
+    rn_message_finish(&rn_scene_description_table, &description);
 }
 
 void rn_get_start(void *context, struct rn_request *request, struct rn_reply *reply) {
@@ -126,11 +144,9 @@ void rn_get_start(void *context, struct rn_request *request, struct rn_reply *re
     if (*row.dataset)
         dataset = open_named(app, row.dataset, reply);
     else
-        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND,
-                         "the scene '%s' has no photographs here, whose cameras would be known",
-                         row.name);
+        start_of_file(&row, reply);
     rn_row_finish(&rn_scenes, &row);
-    if (dataset != NULL) reply_start(dataset, reply);
+    if (dataset != NULL) start_of_dataset(dataset, reply);
 }
 
 // At most so many points: evenly of all there are.

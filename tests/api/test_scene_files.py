@@ -44,6 +44,12 @@ def picture(client, scene, out):
     return out.read_bytes()
 
 
+def start_of(client, scene):
+    """Where to begin to look."""
+    with urllib.request.urlopen(f"{client.environment['RIPNERF_HOST']}/v1/scenes/{scene}/start") as reply:
+        return json.load(reply)
+
+
 def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     """The file is what it says, and what it lost is what is lost where it is opened."""
     file, said = exported
@@ -63,9 +69,7 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
 
     made = elsewhere.json("import", file, "--name", "light")
     assert made["dataset"] is None and made["viewing"]["bits"] == said["bits"]
-    with pytest.raises(urllib.error.HTTPError, match="404") as refusal:
-        urllib.request.urlopen(f"{elsewhere.url}/v1/scenes/light/start")
-    assert "has no photographs here" in json.load(refusal.value)["detail"]
+    assert start_of(elsewhere, "light") == start_of(ball, "ball")
     assert made["viewing"]["parameters_sha256"] == ball.json("show", "ball")["parameters_sha256"]
     assert made["parameters_sha256"] == ball.json("show", "light")["parameters_sha256"]
     shown = elsewhere.run("show", "light").stdout
@@ -122,6 +126,7 @@ def changed(bytes_, old, new):
 
 BITS = rb'\"bits\":'
 FORMAT = rb'\"viewing\":{\"format\":'
+START = rb'\"start\":{'
 
 
 def test_damaged_files_are_refused(ball, exported, tmp_path):
@@ -132,11 +137,13 @@ def test_damaged_files_are_refused(ball, exported, tmp_path):
     flipped = bytearray(whole)
     flipped[header + 1000] ^= 1
     newer = changed(whole, FORMAT + b"1", FORMAT + b"2")
+    askew = changed(whole, rb'\"up\":[', rb'\"op\":[')
     odd = changed(whole, BITS + b"%d" % exported[1]["bits"], BITS + b"7")
     short = sealed(whole[: header + 100])
     for content, words in ((b"", "is empty"), (b"hello", "is no scene"), (whole[:-1], "as it was written"),
                            (whole[:5000], "as it was written"), (bytes(flipped), "as it was written"),
                            (newer, "written by a newer ripnerf"), (odd, "form of planes"),
+                           (askew, "direction that is up"),
                            (short, "cut off")):
         bad.write_bytes(content)
         run = ball.run("import", bad, "--name", "bad", code=None)
@@ -145,6 +152,16 @@ def test_damaged_files_are_refused(ball, exported, tmp_path):
     ball.run("show", "bad", code=NOT_FOUND)
     assert ball.json("validate", exported[0]) == {"file": str(exported[0]), "bytes": len(whole)}
     assert ball.run("validate", bad, code=None).returncode == 0  # only its header is wrong
+
+
+def test_where_to_begin_is_not_known_of_an_older_file(elsewhere, exported, tmp_path):
+    older = tmp_path / "older.ripscene"
+    older.write_bytes(changed(exported[0].read_bytes(), START, START.replace(b"start", b"other")))
+    made = elsewhere.json("import", older, "--name", "older")
+    assert "start" not in made["viewing"]
+    with pytest.raises(urllib.error.HTTPError, match="404") as refusal:
+        start_of(elsewhere, "older")
+    assert "export it again" in json.load(refusal.value)["detail"]
 
 
 def test_what_is_no_request(ball, exported, tmp_path):

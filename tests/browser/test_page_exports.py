@@ -6,6 +6,7 @@ pytest.importorskip("selenium", reason="python3-selenium is not installed")
 
 VIEWING = {"bits": 8, "views": 6, "split": "test", "psnr": 33.5, "trained": 33.53, "loss": 0.03,
            "dataset": "sphere", "parameters_sha256": "0" * 64, "version": "0.1.0"}
+AWAY = [[-1, 0, 0, 0.5], [0, -1, 0, 0], [0, 0, 1, -3]]  # looks along z, and its top is y
 
 
 def test_what_an_export_made_is_there(page, fake):
@@ -44,3 +45,24 @@ def test_a_scene_that_came_as_a_file_says_so(page, fake):
     page.says("its photographs are not here", ".page-head")
     page.says("planes in 8 bits a value by blocks; it is not trained further")
     page.says("33.50 dB on 6 test views, 0.030 dB less than the scene that it is of")
+
+
+def test_a_scene_that_came_as_a_file_begins_where_its_file_says(page, fake):
+    """With the up that it tells; so does its picture among the others."""
+    api = fake("busy")
+    start = {"camera": {"world_from_camera": AWAY, "axes": "opencv", "width": 320, "height": 240,
+                        "fx": 300, "fy": 300, "cx": 160, "cy": 120}, "up": [0, 1, 0]}
+    with api.world.lock:
+        scene = api.world.find(api.world.scenes, "sphere-draft", "scene")
+        scene.update(dataset=None, dataset_name=None, viewing={**VIEWING, "start": start}, loaded=True)
+    asked = []
+    api.world.on_render = asked.append
+    for view in ("#/", "#/scene/sphere-draft"):
+        asked.clear()
+        page.open(api.url + view)
+        page.until(lambda: asked, f"a picture in {view}")
+        camera = asked[0]["camera"]
+        assert [x for row in camera["world_from_camera"] for x in row] == \
+            pytest.approx([x for row in AWAY for x in row], abs=1e-9)
+        assert camera["fov_y_deg"] == pytest.approx(43.60, abs=0.01)
+    assert page.complaints() == []

@@ -157,6 +157,10 @@ export function lookAt(orbit, point) {
   };
 }
 
+/** The orbit at a camera of the API. */
+export const orbitOfCamera = (camera, up, bounds) =>
+    orbitOfPose(openCvPose(camera), fovOf(camera), up, bounds);
+
 /** Where to begin without cameras: outside the bounds, a little above. */
 export const defaultOrbit = (bounds, up = [0, 0, 1]) => ({
   target: [...bounds.centre],

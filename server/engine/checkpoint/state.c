@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "common/math/vector.h"
 #include "server/engine/checkpoint/viewing.h"
 #include "server/engine/scene/scene.h"
 
@@ -244,14 +245,49 @@ static enum rn_status decode_disparity(const json_t *state, const char *path,
     return RN_OK;
 }
 
+// Where to begin to look, where a file for viewing tells it.
+static void encode_start(const struct rn_viewing *v, json_t *viewing) {
+    const struct rn_camera *c = &v->start;
+    const double intrinsics[4] = {c->fx, c->fy, c->cx, c->cy};
+    if (!v->has_start) return;
+    json_object_set_new(viewing, "start",
+                        json_pack("{s:o,s:i,s:i,s:o,s:o}", "world_from_camera",
+                                  encode_numbers(c->world_from_camera[0], 12), "width", c->width,
+                                  "height", c->height, "intrinsics", encode_numbers(intrinsics, 4),
+                                  "up", encode_numbers(v->up, 3)));
+}
+
+static enum rn_status decode_start(const json_t *viewing, const char *path, struct rn_viewing *v,
+                                   struct rn_error *err) {
+    const json_t *from = json_object_get(viewing, "start");
+    struct rn_camera c = {.width = (int)json_integer_value(json_object_get(from, "width")),
+                          .height = (int)json_integer_value(json_object_get(from, "height"))};
+    double k[4];
+    if (!from) return RN_OK;
+    v->has_start =
+        decode_numbers(json_object_get(from, "world_from_camera"), c.world_from_camera[0], 12) &&
+        decode_numbers(json_object_get(from, "intrinsics"), k, 4) &&
+        decode_numbers(json_object_get(from, "up"), v->up, 3) &&
+        fabs(rn_dot(v->up, v->up) - 1) < 1e-3;
+    if (v->has_start) {
+        c.fx = k[0], c.fy = k[1], c.cx = k[2], c.cy = k[3];
+        v->has_start = rn_camera_check(&c, path, NULL) == RN_OK;
+    }
+    v->start = c;
+    return v->has_start ? RN_OK
+                        : rn_error_set(err, RN_ERROR_CORRUPT, path,
+                                       "its 'start' is no camera with a direction that is up; "
+                                       "export it again");
+}
+
 // Of a file for viewing. One that an older build cannot read has another `format`.
 static void encode_viewing(const struct rn_viewing *v, json_t *state) {
-    json_object_set_new(state, "viewing",
-                        json_pack("{s:i,s:i,s:o,s:o,s:i,s:s,s:s,s:s,s:s}", "format",
-                                  RN_VIEWING_FORMAT, "bits", v->bits, "psnr", number(v->psnr),
-                                  "trained", number(v->trained), "views", v->views, "split",
-                                  v->split, "dataset", v->dataset, "sha256", v->sha256, "version",
-                                  v->version));
+    json_t *viewing = json_pack("{s:i,s:i,s:o,s:o,s:i,s:s,s:s,s:s,s:s}", "format",
+                                RN_VIEWING_FORMAT, "bits", v->bits, "psnr", number(v->psnr),
+                                "trained", number(v->trained), "views", v->views, "split", v->split,
+                                "dataset", v->dataset, "sha256", v->sha256, "version", v->version);
+    if (viewing) encode_start(v, viewing);
+    json_object_set_new(state, "viewing", viewing);
 }
 
 static void decode_text(const json_t *object, const char *name, char *to, size_t size) {
@@ -282,7 +318,8 @@ static enum rn_status decode_viewing(const json_t *state, const char *path, stru
     decode_text(from, "dataset", ret->dataset, sizeof ret->dataset);
     decode_text(from, "sha256", ret->sha256, sizeof ret->sha256);
     memcpy(ret->version, version, sizeof version);
-    if (format == RN_VIEWING_FORMAT && rn_viewing_has_bits(ret->bits)) return RN_OK;
+    if (format == RN_VIEWING_FORMAT && rn_viewing_has_bits(ret->bits))
+        return decode_start(from, path, ret, err);
     return rn_error_set(err, RN_ERROR_CORRUPT, path,
                         "its 'viewing' names no form of planes that this program knows");
 }

@@ -131,6 +131,10 @@ static enum rn_status write_file(struct scene_work *export, struct rn_field *fie
     snprintf(told->dataset, sizeof told->dataset, "%.*s", RN_NAME_MAX - 1,
              dataset->name ? dataset->name : "");
     snprintf(told->version, sizeof told->version, "%s", RIPNERF_VERSION);
+    const struct rn_frame *start = rn_dataset_start(dataset);
+    told->has_start = start != NULL;
+    if (start) told->start = rn_camera_without_lens(&start->camera);
+    memcpy(told->up, dataset->lie.up, sizeof told->up);
     rn_field_sha256(field, told->sha256);
     enum rn_status status = path_of(export, name, path, err);
     return status ? status : rn_viewing_write(field, told, path, err);

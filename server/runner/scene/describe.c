@@ -77,10 +77,14 @@ static void fill_viewing(const struct rn_viewing *from, struct rn_viewing_record
                                       .split = split < 0 ? RN_SPLIT_TRAIN : split,
                                       .psnr = from->psnr,
                                       .trained = from->trained,
-                                      .loss = from->trained - from->psnr};
+                                      .loss = from->trained - from->psnr,
+                                      .start = ret->start};
     snprintf(ret->dataset, sizeof ret->dataset, "%.*s", RN_NAME_MAX - 1, from->dataset);
     snprintf(ret->parameters_sha256, sizeof ret->parameters_sha256, "%s", from->sha256);
     snprintf(ret->version, sizeof ret->version, "%s", from->version);
+    if (!from->has_start) return;
+    ret->start.camera = from->start;
+    memcpy(ret->start.up, from->up, sizeof from->up);
 }
 
 enum rn_status rn_describe_scene(const struct rn_field_info *info, const char *held_out,

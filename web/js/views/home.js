@@ -2,7 +2,7 @@
 import {api} from '../api.js';
 import {fill, follow, h, lazyImage, text} from '../dom.js';
 import {isActive, isVisitor, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
-import {cameraOf, defaultOrbit} from '../orbit.js';
+import {cameraOf, defaultOrbit, orbitOfCamera} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
 import {action, chip, confirmFirst, empty, meter, panel, scroller, setChip, skeleton} from '../ui.js';
 import {link} from '../router.js';
@@ -148,7 +148,10 @@ async function sceneThumb(scene, mark, signal) {
       (await api.render(scene.id, {...of, format: 'jpeg'}, signal)).blob;
   if (!scene.dataset) {
     if (!scene.loaded || !mayRender()) throw new Error('has no photograph');
-    return rendered({camera: cameraOf(defaultOrbit(scene.bounds), size.width, size.height)});
+    const {bounds, viewing} = scene;
+    const start = viewing?.start;
+    const orbit = start ? orbitOfCamera(start.camera, start.up, bounds) : defaultOrbit(bounds);
+    return rendered({camera: cameraOf(orbit, size.width, size.height)});
   }
   const views = await api.cameras(scene.dataset, signal);
   const {split, index} = views.find((item) => item.split === 'train') ?? views[0];

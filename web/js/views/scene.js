@@ -54,7 +54,8 @@ export async function sceneView(root, {id, query, signal}) {
           scene.dataset ?
               ['from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name)] :
               'for viewing; its photographs are not here');
-      fill(body, page(scene, cameras, mark, query, signal));
+      const start = scene.dataset ? null : scene.viewing?.start;
+      fill(body, page(scene, cameras, start, mark, query, signal));
     } catch (error) {
       if (signal.aborted) return;
       if (!(error instanceof Unreachable)) setChip(mark, 'error');
@@ -106,7 +107,8 @@ function listed(id, signal) {
   });
 }
 
-function page(scene, cameras, mark, query, signal) {
+/** `start`: where to begin, of a scene whose photographs are not here; its file may not tell. */
+function page(scene, cameras, start, mark, query, signal) {
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = {};
@@ -144,7 +146,8 @@ function page(scene, cameras, mark, query, signal) {
             crop: query?.get('crop'),
             at: past.seconds,
             onNow: () => past.show(null),
-            up: dataset?.up
+            start: start?.camera,
+            up: dataset?.up ?? start?.up
           },
           signal);
   if (may('render'))

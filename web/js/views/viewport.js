@@ -10,6 +10,7 @@ import {
   listen,
   lookAt,
   openCvPose,
+  orbitOfCamera,
   orbitOfPose,
   orbitOfWord,
   poseOfOrbit,
@@ -49,7 +50,7 @@ export function createViewport(scene, cameras, host, signal) {
   const bounds = scene.bounds ?? {centre: [0, 0, 0], radius: 1.5};
   const full = cameras.filter((item) => item.scale === 0);
   const up = host.up ?? upOf(full.map((item) => item.camera));
-  const orbitAt = (item) => orbitOfPose(openCvPose(item.camera), fovOf(item.camera), up, bounds);
+  const orbitAt = ({camera}) => orbitOfCamera(camera, up, bounds);
   const first = full.find((item) => item.split === 'test') ?? full[0] ??
       (host.start ? {camera: host.start} : null);
   const start = first ? orbitAt(first) : defaultOrbit(bounds, up);
