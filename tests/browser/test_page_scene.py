@@ -115,6 +115,7 @@ def test_a_report_is_whole_in_one_file(page, fake, downloads):
     downloads.clear()
     page.press("Report")
     file = downloads.saved(page, "sphere-draft-report.html")
+    assert page.complaints() == []  # its pictures and its style are none of the page's
     text = file.read_text(encoding="utf-8")
     assert "<script" not in text and not re.search(r"(src|href)=\"(?!data:)", text)
     assert text.count("data:image/jpeg") == 9  # photograph, rendering and error of three views

@@ -10,6 +10,10 @@ import {drawCost} from './views/curve.js';
 const PICTURE_SIDE = 400;  // pixels, of the longer side
 const VIEWS = 3;           // worst, middle and best
 
+// Of an image's address: the page itself may load none such (its Content-Security-Policy), nor have a
+// style of its own; the report's text has both.
+const SRC = 'data-src';
+
 const STYLE = `
 @page { margin: 16mm; }
 * { box-sizing: border-box; }
@@ -99,8 +103,9 @@ async function comparison(scene, item, words, signal) {
       'figure', null,
       h('div', {class: 'trio'},
         shown.map(
-            (src, i) =>
-                h('img', {src, alt: `${['Photograph', 'Rendering', 'Error'][i]} of ${view}`}))),
+            (src, i) => h(
+                'img',
+                {[SRC]: src, alt: `${['Photograph', 'Rendering', 'Error'][i]} of ${view}`}))),
       h('figcaption', null,
         `${words}${view}: photograph, rendering, error (white at a quarter of the range). ${
             psnr === null ? 'Equal' : decibel(psnr)} at ${size.width} × ${size.height}.`));
@@ -205,8 +210,6 @@ export async function reportOf(id, signal) {
   const cost = h('div');
   if (curve) drawCost(cost, curve.points, {size: {width: 820, height: 220}});
   const root = document.implementation.createHTMLDocument(`${scene.name} · ripnerf`);
-  root.documentElement.lang = 'en';
-  root.head.append(h('meta', {charset: 'utf-8'}), h('style', null, STYLE));
   root.body.append(h(
       'main', null,
       ...[h('h1', null, scene.name),
@@ -247,5 +250,12 @@ export async function reportOf(id, signal) {
                       [['What differs'], ['Measured']],
                       scene.differences.map((item) => [item.what, item.measured || '–'])))]
           .filter(Boolean)));
-  return new Blob(['<!doctype html>\n', root.documentElement.outerHTML], {type: 'text/html'});
+  const {head, body} = root;
+  return new Blob(
+      [
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">', head.innerHTML,
+        `<style>${STYLE}</style></head>`, body.outerHTML.replaceAll(`<img ${SRC}=`, '<img src='),
+        '</html>'
+      ],
+      {type: 'text/html'});
 }
