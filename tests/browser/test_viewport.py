@@ -1,6 +1,10 @@
 """The tools of a scene's view: what is laid over it, what lies under a point, pictures to keep."""
 
+import threading
+
 import pytest
+from fake_api import Refusal
+from support.waiting import PATIENCE_S
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from PIL import Image  # noqa: E402
@@ -60,6 +64,28 @@ def test_another_scene_or_an_earlier_moment_is_laid_over_the_view(page, fake):
     page.says("After 3.8 s", ".wipe-bar label")
     assert [body for body in asked if body.get("at") == 3.75]
     assert page.complaints() == []
+
+
+def test_what_is_laid_over_the_view_says_that_it_comes_or_why_not(scene):
+    rendered = threading.Event()
+
+    def look(body):
+        if body.get("at") == 3.75 and not rendered.wait(PATIENCE_S):
+            raise Refusal(503, "Unavailable", "the test forgot it")
+        if body.get("at") == 7.5:
+            raise Refusal(409, "Conflict", "what was kept of it is damaged")
+
+    scene.api.world.on_render = look
+    choose(scene, "at:3.75")
+    scene.says("Rendering the scene as it was after 3.8 s", ".viewport [role=status]")
+    rendered.set()
+    scene.says("After 3.8 s", ".wipe-bar label")
+    scene.until(lambda: "Rendering" not in scene.text(".viewport-tools"), "nothing more to wait for")
+    choose(scene, "at:7.5")
+    scene.says("After 7.5 s is not shown: what was kept of it is damaged", ".viewport [role=status]")
+    assert not scene.find(".viewport").find_elements("css selector", ".wipe:not([hidden])")
+    choose(scene, "")
+    scene.until(lambda: "not shown" not in scene.text(".viewport-tools"), "nothing to say")
 
 
 def test_a_double_click_looks_at_what_is_there(scene, asked):

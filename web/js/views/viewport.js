@@ -251,18 +251,35 @@ export function createViewport(scene, cameras, host, signal) {
                                     `after ${seconds(mark.train_seconds)}`))) :
       null;
   const rival =
-      h('select', {id: 'rival', onchange: () => beside().catch(toast)},
+      h('select', {id: 'rival', onchange: () => beside()},
         h('option', {value: ''}, 'none'),
         rivals.map((other) => h('option', {value: other.id}, other.name)), marks);
+  const besideWords = h('p', {class: 'quiet', role: 'status'});  // what the picture waits for, or lacks
   async function beside() {
     const then = /^at:/.test(rival.value) ? Number(rival.value.slice(3)) : null;
     const other = then ? {id: scene.id, name: `After ${seconds(then)}`} :
                          rivals.find((one) => one.id === rival.value);
-    if (!other) return wipe.hide();
+    if (!other) {
+      text(besideWords, '');
+      return wipe.hide();
+    }
     const seen = orbit;
     const chosen = rival.value;
-    const blob = await pictureFrom(other.id, then);
-    if (seen === orbit && rival.value === chosen) wipe.lay(blob, other.name, false, refined);
+    const isWanted = () => seen === orbit && rival.value === chosen;
+    text(
+        besideWords,
+        then ? `Rendering the scene as it was after ${seconds(then)}…` :
+               `Rendering ${other.name}…`);
+    try {
+      const blob = await pictureFrom(other.id, then);
+      if (!isWanted()) return;
+      wipe.lay(blob, other.name, false, refined);
+      text(besideWords, '');
+    } catch (error) {
+      if (!isWanted() || signal.aborted) return;
+      wipe.hide();
+      text(besideWords, `${other.name} is not shown: ${error.detail || error.message}`);
+    }
   }
   /** What this camera sees in a scene, in full; `then`: as it was after so many seconds of training. */
   async function pictureFrom(id, then) {
@@ -282,7 +299,7 @@ export function createViewport(scene, cameras, host, signal) {
   function showFacts(facts) {
     refined = facts.level === 2 && facts.output === 'rgb' ? facts.blob : null;
     if (facts.level === 2) host.onRefined(facts);
-    if (facts.level === 2 && rival.value) beside().catch(toast);
+    if (facts.level === 2 && rival.value) beside();
     stage.dataset.ready = 'true';
     stage.dataset.level = LEVELS[facts.level];
     const now = performance.now();
@@ -400,7 +417,7 @@ export function createViewport(scene, cameras, host, signal) {
             h('div', {class: 'tool'}, cameras3d, h('label', {'for': 'show-cameras'}, 'Cameras')) :
             null,
         rivals.length || marks ?
-            h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival) :
+            h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival, besideWords) :
             null,
         h('div', {class: 'tool tools-end'},
           h('button', {type: 'button', class: 'small', title: 'R', onclick: () => set(start)},
