@@ -212,7 +212,32 @@ static enum rn_exit code_of_end(const struct rn_follow *follow) {
     return code == RN_EXIT_INVALID ? RN_EXIT_INVALID : RN_EXIT_FAILED;
 }
 
+struct left {
+    char *job, *detail; // borrowed
+};
+static const struct rn_field_spec left_fields[] = {
+    RN_F_STRING(struct left, job, RN_REQUIRED, RN_ID_MAX),
+    RN_F_STRING(struct left, detail, RN_REQUIRED, 4096)};
+static const struct rn_table left_table = RN_TABLE(struct left, "left job", left_fields);
+
+// What becomes of a job that is not waited for any more, and how to come back; as JSON {"detached":
+// {job, detail}}.
+static void tell_way_back(const struct rn_follow *follow, const char *job_id, const char *what) {
+    char detail[1024];
+    snprintf(detail, sizeof detail, "%s. Come back with: ripnerf %s %s%s%s", what,
+             follow->back ? follow->back : "watch", job_id, follow->tail ? " " : "",
+             follow->tail ? follow->tail : "");
+    if (!follow->client->json) {
+        fprintf(stderr, "%s\n", detail);
+        return;
+    }
+    char *json = rn_api_encode(&left_table, &(struct left){(char *)job_id, detail});
+    if (json) fprintf(stderr, "{\"detached\":%s}\n", json);
+    free(json);
+}
+
 enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id) {
+    char what[RN_ID_MAX + 64];
     struct rn_error err = {0};
     if (rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
     char *path = rn_api_path("jobs", job_id, "/events");
@@ -222,10 +247,16 @@ enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id) {
     free(path);
     rn_progress_finish(&follow->progress);
     bool left = code == RN_EXIT_CANCELLED && rn_interrupt_seen(); // as `event` was at a request
-    if (code != RN_EXIT_OK && !left) return code;
-    if (!left && follow->known && rn_job_has_ended(&follow->job)) return code_of_end(follow);
+    bool ended = follow->known && rn_job_has_ended(&follow->job);
+    if (code != RN_EXIT_OK && !left) {
+        snprintf(what, sizeof what, "job %s is not lost with its daemon", job_id);
+        if (!ended && code == RN_EXIT_UNREACHABLE) tell_way_back(follow, job_id, what);
+        return code;
+    }
+    if (!left && ended) return code_of_end(follow);
     follow->detached = true;
-    fprintf(stderr, "detached; job %s goes on. Come back with: ripnerf watch %s\n", job_id, job_id);
+    snprintf(what, sizeof what, "detached; job %s goes on", job_id);
+    tell_way_back(follow, job_id, what);
     return RN_EXIT_FAILED;
 }
 

@@ -16,7 +16,9 @@ struct rn_follow {
     bool (*event)(struct rn_follow *follow, const struct rn_sse_event *event);
     void *context; // of `event`
     enum rn_exit code;
-    bool quiet; // no progress line
+    bool quiet;       // no progress line
+    const char *back; // "ripnerf BACK JOB" comes back to the job; NULL: watch
+    const char *tail; // what else that command needs, after the job; NULL: nothing
     struct rn_progress progress;
     // out: the job as last seen; rn_follow_finish frees it
     bool known;
@@ -26,7 +28,8 @@ struct rn_follow {
 
 // Waits until the job has ended and returns what its end means: RN_EXIT_OK, RN_EXIT_CANCELLED,
 // or RN_EXIT_FAILED or RN_EXIT_INVALID after printing its problem. Ctrl-C detaches, says how to
-// come back, and returns RN_EXIT_FAILED. Complains when the daemon is lost (RN_EXIT_UNREACHABLE).
+// come back, and returns RN_EXIT_FAILED. Complains when the daemon is lost (RN_EXIT_UNREACHABLE) or
+// answers no more, and says the same.
 enum rn_exit rn_follow_job(struct rn_follow *follow, const char *job_id);
 void rn_follow_finish(struct rn_follow *follow);
 

@@ -273,12 +273,25 @@ static enum rn_exit check_out(const struct export_options *o) {
     return rn_client_check_target(o->out, o->overwrite);
 }
 
+static enum rn_exit export_of_job(struct rn_client *client, const struct export_options *o,
+                                  const char *job) {
+    if (o->as || o->crop || o->max_loss || !isnan(o->max_bytes) || !isnan(o->level) ||
+        o->cells != RN_OPTION_ABSENT || o->views != RN_OPTION_ABSENT ||
+        o->max_size != RN_OPTION_ABSENT)
+        return rn_client_usage(job, "is a job, which was told what to export; it takes -o and "
+                                    "--overwrite alone");
+    enum rn_exit code = rn_client_check_target(o->out, o->overwrite);
+    return code == RN_EXIT_OK ? rn_export_of_job(client, job, o->out) : code;
+}
+
 static enum rn_exit run_export(struct rn_client *client, const void *context, const char **args) {
     const struct export_options *options = context;
     struct rn_scene scene;
     struct rn_camera_list_record cameras;
     double crop[6] = {0}, box[2][3];
     if (!options->out) return rn_client_usage("export", "needs -o FILE.ply");
+    if (strncmp(args[0], RN_ID_JOB, strlen(RN_ID_JOB)) == 0)
+        return export_of_job(client, options, args[0]);
     if (!rn_crop_option(options->crop, crop)) return RN_EXIT_USAGE;
     memcpy(box, crop, sizeof box);
     if (stray(options))
@@ -311,7 +324,7 @@ static enum rn_exit run_export(struct rn_client *client, const void *context, co
 
 const struct rn_verb rn_verbs_export[] = {
     {.name = "export",
-     .arguments = "SCENE -o FILE",
+     .arguments = "SCENE|JOB -o FILE",
      .summary = "a scene for viewing elsewhere, its surface as a mesh, or as points",
      .details =
          "Looks at the scene through cameras of its dataset and writes a point for each pixel "
@@ -325,7 +338,8 @@ const struct rn_verb rn_verbs_export[] = {
          "What "
          "it lost was measured on held-out views and stands in the file, which ripnerf import "
          "takes, "
-         "here or elsewhere: the scene renders as any other, and is trained no further.",
+         "here or elsewhere: the scene renders as any other, and is trained no further. With the "
+         "id of such a job it brings what that makes or made, where Ctrl-C ended the waiting.",
      .args_min = 1,
      .args_max = 1,
      .table = export_table,

@@ -81,17 +81,53 @@ static enum rn_exit tell(const struct rn_client *client, const struct rn_job *jo
     return RN_EXIT_OK;
 }
 
-enum rn_exit rn_export_by_job(struct rn_client *client, const char *scene,
-                              const struct rn_export_options *options, const char *file) {
-    struct export_request request = {
-        .type = RN_JOB_EXPORT, .scene = (char *)scene, .options = *options}; // only read
-    struct rn_follow follow;
-    char path[RN_ID_MAX + 32];
-    enum rn_exit code =
-        rn_submit_and_follow(client, rn_api_encode(&export_request_table, &request), &follow);
-    snprintf(path, sizeof path, "/v1/jobs/%s/export", follow.job.id);
+static enum rn_exit follow_and_save(struct rn_client *client, const char *job, const char *file) {
+    const char *quote = rn_quote_of(file);
+    char path[RN_ID_MAX + 32], tail[512];
+    snprintf(tail, sizeof tail, "-o %s%s%s", quote, file, quote);
+    struct rn_follow follow = {
+        .client = client, .quiet = client->json, .back = "export", .tail = tail};
+    enum rn_exit code = rn_follow_job(&follow, job);
+    snprintf(path, sizeof path, "/v1/jobs/%s/export", job);
     if (code == RN_EXIT_OK) code = rn_api_save(client, path, file);
     if (code == RN_EXIT_OK) code = tell(client, &follow.job, file);
     rn_follow_finish(&follow);
     return code;
+}
+
+enum rn_exit rn_export_by_job(struct rn_client *client, const char *scene,
+                              const struct rn_export_options *options, const char *file) {
+    struct export_request request = {
+        .type = RN_JOB_EXPORT, .scene = (char *)scene, .options = *options}; // only read
+    char job[RN_ID_MAX], *answer = NULL, *body = rn_api_encode(&export_request_table, &request);
+    enum rn_exit code = body ? rn_submit(client, body, job, &answer) : RN_EXIT_FAILED;
+    free(body);
+    free(answer);
+    return code == RN_EXIT_OK ? follow_and_save(client, job, file) : code;
+}
+
+// What the job writes, by its options; NULL: it is no export.
+static const char *ending_of(const struct rn_job *job) {
+    struct rn_export_options options;
+    const char *text = job->options ? job->options : "";
+    if (job->type != RN_JOB_EXPORT ||
+        rn_decode(&rn_export_options_table, text, strlen(text), &options, NULL, NULL) != RN_OK)
+        return NULL;
+    return options.as == RN_EXPORT_SCENE     ? ".ripscene"
+           : options.format == RN_EXPORT_OBJ ? ".obj"
+                                             : ".ply";
+}
+
+enum rn_exit rn_export_of_job(struct rn_client *client, const char *id, const char *file) {
+    struct rn_job job;
+    enum rn_exit code = rn_api_get(client, "jobs", id, "", &rn_job_table, &job);
+    if (code != RN_EXIT_OK) return code;
+    const char *ending = ending_of(&job), *dot = strrchr(file, '.');
+    if (!ending)
+        code = rn_client_usage(id, "is a job of type %s, which exports nothing",
+                               rn_job_type_names[job.type]);
+    else if (!dot || strcmp(dot, ending) != 0)
+        code = rn_client_usage(file, "is no file of what job %s writes; use %s", id, ending);
+    rn_message_finish(&rn_job_table, &job);
+    return code == RN_EXIT_OK ? follow_and_save(client, id, file) : code;
 }

@@ -34,10 +34,14 @@ static void name_of(const char *source, char ret_name[RN_NAME_MAX]) {
     if (rn_check_name(ret_name)) snprintf(ret_name, RN_NAME_MAX, "NAME");
 }
 
-enum rn_exit rn_name_missing(const char *verb, const char *source) {
+const char *rn_quote_of(const char *word) {
     static const char plain[] =
         "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789/._-+:,@%";
-    const char *quote = source[strspn(source, plain)] ? "'" : "";
+    return word[strspn(word, plain)] ? "'" : "";
+}
+
+enum rn_exit rn_name_missing(const char *verb, const char *source) {
+    const char *quote = rn_quote_of(source);
     char name[RN_NAME_MAX];
     name_of(source, name);
     return rn_client_usage(verb, "needs a name: ripnerf %s %s%s%s --name %s", verb, quote, source,

@@ -21,6 +21,8 @@ enum rn_exit rn_submit_and_follow(struct rn_client *client, char *body,
 // (NULL: by its length alone). false, with a complaint, where it does not do.
 bool rn_take_text(const char *option, const char *text, const char *(*check)(const char *),
                   char *ret_field, size_t capacity);
+// The quote that a shell needs around a word: "'", or "" where it needs none.
+const char *rn_quote_of(const char *word);
 // A usage error where --name is missing, with the command that has one: `ripnerf VERB SOURCE`, and
 // the name of the source, a file or folder here or something of the daemon's.
 enum rn_exit rn_name_missing(const char *verb, const char *source);

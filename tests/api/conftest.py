@@ -5,6 +5,7 @@ import pytest
 from support import checked
 from support.checked import Daemon
 from support.client import Client
+from support.clocks import Clocks
 from support.daemon import Daemon as RealDaemon
 from support.fake_daemon import FakeDaemon
 from support.on_slurm import on_slurm, slow_runner, slurm, undisturbed  # noqa: F401, fixtures
@@ -73,6 +74,13 @@ def daemon():
     """A stand-in for a daemon, without an engine; modules of other daemons have their own."""
     with FakeDaemon() as fake:
         yield fake
+
+
+@pytest.fixture
+def clock(build, programs, tmp_path):
+    if any(name in programs[0].read_bytes() for name in (b"__asan_init", b"__tsan_init")):
+        pytest.skip("a sanitizer looks at the clock past what is preloaded")
+    return Clocks(tmp_path / "shift", build / "tests/support/ripnerf-wallclock.so")
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shlex
 import signal
 import tarfile
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from support import contract
-from support.client import CANCELLED, FAILED
+from support.client import CANCELLED, FAILED, UNREACHABLE, USAGE
 from support.waiting import PATIENCE_S, wait_for
 
 
@@ -118,3 +119,50 @@ def test_a_watch_that_nobody_reads_ends(client, daemon):
     assert process.returncode == FAILED
     assert json.loads(process.stderr.read())["error"]["where"] == "standard output"
     client.run("cancel", job)
+
+
+def train_slowly(client, daemon, *options):
+    """A client that waits for a training, and its job."""
+    daemon.add_dataset("lego")
+    process = client.start("train", "lego", "--name", "slow", "--wait", *options)
+    wait_for(lambda: is_asked(daemon, "/events"))
+    return process, next(iter(daemon.jobs))
+
+
+def test_detaching_is_a_line_of_json(client, daemon):
+    process, job = train_slowly(client, daemon, "--json")
+    process.send_signal(signal.SIGINT)
+    said = json.loads(end(process, FAILED))["detached"]
+    assert said["job"] == job and f"ripnerf watch {job}" in said["detail"]
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_who_gives_up_on_a_lost_daemon_says_how_to_come_back(client, daemon, clock, options):
+    client.environment |= clock.environment
+    process, job = train_slowly(client, daemon, *options)
+    daemon.away = True
+    wait_for(lambda: daemon.refused > 1)  # the first one is noted when the second one comes
+    clock.set(0, uptime_s=61)
+    err = end(process, UNREACHABLE)
+    assert "cannot be reached" in err and f"ripnerf watch {job}" in err
+    if options:
+        error, left = map(json.loads, err.splitlines())
+        assert error["error"]["exit_code"] == UNREACHABLE and left["detached"]["job"] == job
+
+
+def test_an_export_that_was_left_is_brought(client, daemon, tmp_path):
+    daemon.add_scene("slow", daemon.add_dataset("lego"))
+    process = client.start("export", "slow", "--as", "mesh", "-o", "a b.ply")
+    wait_for(lambda: is_asked(daemon, "/events"))
+    process.send_signal(signal.SIGINT)
+    said = end(process, FAILED)
+    program, *again = shlex.split(said[said.index("ripnerf export job_"):])
+    assert program == "ripnerf" and not (tmp_path / "a b.ply").exists()
+    client.run("finish", again[1])
+    assert "3 vertices" in client.run(*again).stdout
+    assert (tmp_path / "a b.ply").read_bytes() == b"ply"
+    for wrong, words in ((["-o", "a.obj"], "use .ply"), (["-o", "b.ply", "--cells", 8], "-o and"),
+                         (["-o", "a b.ply"], "--overwrite")):
+        assert words in client.run("export", again[1], *wrong, code=USAGE).stderr
+    job = client.json("train", "lego", "--name", "other")["id"]
+    assert "of type train" in client.run("export", job, "-o", "b.ply", code=USAGE).stderr

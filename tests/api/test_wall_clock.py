@@ -1,34 +1,13 @@
 """The wall clock is set while the daemon works: nothing waits for it, and nothing gets old by it."""
 
 import datetime
-import struct
 from pathlib import Path
 
-import pytest
+from support.clocks import YEAR_S
 
-YEAR_S = 31557600
 PATH = {"axes": "opengl", "fps": 2, "interpolation": "linear", "loop": False, "width": 8, "height": 8,
         "keys": [{"time": time_s, "world_from_camera": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4]],
                   "fov_y_deg": 40} for time_s in (0, 1)]}
-
-
-class WallClock:
-    def __init__(self, path, library):
-        self.path = path
-        self.set(0)
-        self.environment = {"LD_PRELOAD": str(library), "RIPNERF_WALL_SHIFT": str(path)}
-
-    def set(self, years):
-        """The file is mapped by the programs: it is written where it lies."""
-        with open(self.path, "r+b" if self.path.exists() else "wb") as file:
-            file.write(struct.pack("<q", years * YEAR_S))
-
-
-@pytest.fixture
-def clock(build, programs, tmp_path):
-    if any(name in programs[0].read_bytes() for name in (b"__asan_init", b"__tsan_init")):
-        pytest.skip("a sanitizer looks at the clock past what is preloaded")
-    return WallClock(tmp_path / "shift", build / "tests/support/ripnerf-wallclock.so")
 
 
 def years_between(record, first, second):

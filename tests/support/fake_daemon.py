@@ -110,12 +110,15 @@ class FakeDaemon:
         self.requests = []
         self.refusal = None  # a Problem that answers each POST
         self.held = None     # an answer to a path that ends so breaks off, and its connection stays
+        self.away = False    # event streams break off, and connections are closed unanswered
+        self.refused = 0     # how many
         self.uploads = {}  # dataset: {file: bytes}
         self.parts = {}    # upload: (size, bytes so far)
         self.cut_after = None  # a part's connection is cut once, after so many bytes
         handler = type("Handler", (Handler,), {"daemon": self})
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self.server.daemon_threads = True
+        self.server.verify_request = self.is_there
         self.url = f"http://127.0.0.1:{self.server.server_port}"
 
     def __enter__(self):
@@ -125,6 +128,10 @@ class FakeDaemon:
     def __exit__(self, *_):
         self.server.shutdown()
         self.server.server_close()
+
+    def is_there(self, *_):
+        self.refused += self.away
+        return not self.away
 
     def find(self, table, reference):
         for record in table.values():
@@ -255,6 +262,13 @@ class FakeDaemon:
         steps = [("progress", contract.example("WorkProgress"))]
         return self.start(job, steps, lambda: contract.example("EvalResult"))
 
+    def submit_export(self, request):
+        scene = self.find(self.scenes, request["scene"])
+        job = Job("export", scene["name"], request["options"], scene=scene["id"],
+                  scene_name=scene["name"])
+        return self.start(job, [], lambda: {"file": "mesh.ply", "bytes": 3,
+                                            "vertices": 3, "triangles": 1})
+
     def remove(self, table, reference):
         record = self.find(table, reference)
         if table is self.datasets and any(scene["dataset"] == record["id"]
@@ -352,6 +366,8 @@ class Handler(BaseHTTPRequestHandler):
                            for owner, index in daemon.frames if owner == job_id], query)
             case ("GET", "jobs", job_id, "frames", index):
                 self.reply(200, daemon.frames[job_id, int(index)], "image/png")
+            case ("GET", "jobs", job_id, "export"):
+                self.reply(200, b"ply", "model/ply")
             case ("POST", "jobs", job_id, action):
                 job = daemon.job(job_id)
                 job.want(action)
@@ -402,6 +418,8 @@ class Handler(BaseHTTPRequestHandler):
         for number in itertools.count(start + 1):
             with job.condition:
                 while len(job.events) < number:
+                    if self.daemon.away:
+                        return
                     job.condition.wait(0.05)
                 event, data = job.events[number - 1]
             self.wfile.write(f"id: {number}\nevent: {event}\ndata: {data}\n\n".encode())
