@@ -51,3 +51,13 @@ def test_a_box_of_the_address_is_shown_and_drawn(scene, asked):
         scene.open(scene.api.url + f"#/scene/sphere-draft?crop={word}")
         scene.until(lambda: scene.ink() > 100, "a picture")
         assert "crop" not in asked(), word
+
+
+def test_the_faces_have_a_row_of_their_own(scene):
+    """Below the buttons, which stay in theirs; each face's slider is as wide as there is room for."""
+    scene.press("Crop")
+    row = scene.run("return [...document.querySelectorAll('.tools-end > button')].map((e) => e.offsetTop);")
+    assert len(set(row)) == 1
+    assert scene.find(".crop-form").location["y"] > scene.button("Share").location["y"]
+    assert scene.run("return Math.min(...[...document.querySelectorAll('.crop-axis input')].map("
+                     "(e) => e.offsetWidth));") > 150

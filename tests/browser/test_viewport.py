@@ -100,6 +100,30 @@ def test_a_double_click_looks_at_what_is_there(scene, asked):
     assert sum(a[2] * b[0] for a, b in zip(there, pose)) > 0.05  # to the right
 
 
+def test_so_does_a_double_tap(scene, asked):
+    box = scene.run("const r = document.querySelector('.stage').getBoundingClientRect();"
+                    "return {x: r.left + 0.4 * r.width, y: r.top + r.height / 2};")
+    scene.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    try:
+        for _ in range(2):
+            for kind, points in (("touchStart", [box]), ("touchEnd", [])):
+                scene.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        scene.until(lambda: [body for body in asked if body.get("output") == "depth"], "the depth there")
+    finally:
+        scene.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
+
+def test_fingers_are_told_what_they_do(scene):
+    """Where there is no mouse and, as a rule, no keyboard."""
+    told = "return [...document.querySelectorAll('.help')].map((e) => e.checkVisibility());"
+    assert scene.run(told) == [False, True]
+    scene.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    try:
+        scene.until(lambda: scene.run(told) == [True, False], "what fingers do")
+    finally:
+        scene.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
+
 def test_pictures_and_links_are_kept(scene, asked, downloads):
     downloads.clear()
     scene.press("Exact size")

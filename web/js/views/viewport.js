@@ -436,6 +436,9 @@ export function createViewport(scene, cameras, host, signal) {
             h('button', {type: 'button', class: 'primary', title: 'K', onclick: () => host.onKey()},
               'Record key') :
             null),
+      h('p', {class: 'quiet help touch'},
+        'One finger turns, two move the picture and, spread or pinched, come nearer or go away; ' +
+            'a double tap looks there.'),
       h('p', {class: 'quiet help', 'aria-hidden': 'true'},
         `Drag turns, Shift-drag moves, the wheel comes nearer, a double click looks there. Keys: arrows, W A S D fly, Q E down and up, + and −, F full screen, R resets${
             keyed}.${photographs.length ? ' A drawn camera is gone to by a click.' : ''}`));
