@@ -1,9 +1,11 @@
 """What the page says is so: figures say of what they are, pictures what they show, and every part
 is reachable by the keyboard."""
 
+import threading
 import time
 
 import pytest
+from support.waiting import PATIENCE_S
 from test_leaks import finished_path
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
@@ -25,9 +27,20 @@ def test_a_card_renders_a_view_that_there_is(page, fake):
     asked = []
     api.world.on_render = asked.append
     page.open(api.url)
-    page.until(lambda: page.all(".card .thumb[data-state=ready]"), "the card's picture")
+    page.until(lambda: asked and page.all(".card .thumb[data-state=ready]") and page.text(".stands-in") == "",
+               "the card's rendering")
     assert [body["view"] for body in asked] == ["train:1"]
-    assert page.text(".stands-in") == ""
+
+
+def test_a_photograph_stands_in_for_a_rendering_that_takes_long(page, fake):
+    api = fake("busy")
+    held = threading.Event()
+    api.world.on_render = lambda body: held.wait(PATIENCE_S)
+    page.open(api.url)
+    page.says("photograph", ".card .stands-in")
+    page.find(".card .thumb[data-state=ready]")
+    held.set()
+    page.until(lambda: page.text(".stands-in") == "", "the rendering")
 
 
 def test_a_photograph_on_a_card_says_so(page, fake):

@@ -105,16 +105,22 @@ export function sleep(ms, signal) {
   });
 }
 
-/** An image element whose bytes come from `load` (a token may be needed) once it is in sight. */
+/**
+ * An image element whose bytes come from `load` (a token may be needed) once it is in sight; what that
+ * hands to its second argument is shown until then.
+ */
 export function lazyImage(load, props, signal) {
   const image = h('img', {alt: '', draggable: 'false', ...props});
   const frame = h('span', {class: 'thumb', 'data-state': 'loading'}, image);
   const seen = new IntersectionObserver(async (entries) => {
     if (!entries.some((entry) => entry.isIntersecting)) return;
     seen.disconnect();
-    try {
-      showBlob(image, await load(signal), signal);
+    const show = (blob) => {
+      showBlob(image, blob, signal);
       frame.dataset.state = 'ready';
+    };
+    try {
+      show(await load(signal, show));
     } catch { frame.dataset.state = 'error'; }
   }, {rootMargin: '200px'});
   seen.observe(frame);

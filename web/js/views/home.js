@@ -1,6 +1,6 @@
 // Scenes, datasets, what runs, and a place to add a dataset.
 import {api} from '../api.js';
-import {fill, follow, h, lazyImage, text} from '../dom.js';
+import {fill, follow, h, lazyImage, sleep, text} from '../dom.js';
 import {isActive, isVisitor, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
 import {cameraOf, defaultOrbit, orbitOfCamera} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
@@ -9,6 +9,8 @@ import {link} from '../router.js';
 import {jobRow} from './jobs.js';
 import {uploadPanel} from './upload.js';
 import {showVisit} from './visit.js';
+
+const STANDS_IN_MS = 400;  // a rendering that takes longer is preceded by a photograph
 
 export function homeView(root, {signal}) {
   const scenes = h('div', {class: 'cards'});
@@ -116,7 +118,8 @@ function sceneCard(scene, signal) {
   const figures = h('p', {class: 'figures'});
   const name = h('a', {class: 'card-name', href: link.scene(scene.name)}, scene.name);
   const mark = h('span', {class: 'stands-in'});
-  const picture = lazyImage((stop) => sceneThumb(scene, mark, stop), {class: 'cover'}, signal);
+  const picture =
+      lazyImage((stop, show) => sceneThumb(scene, mark, show, stop), {class: 'cover'}, signal);
   const node =
       h('article', {class: 'card'}, picture, mark,
         h('div', {class: 'card-body'}, h('div', {class: 'row'}, name, state), figures,
@@ -139,10 +142,11 @@ function sceneCard(scene, signal) {
 }
 
 /**
- * A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner,
- * and `mark` is told which it is. A view's numbers have gaps where it went to another split.
+ * A loaded scene is rendered; for others a photograph stands in, so that a list loads no runner, and for
+ * those too whose rendering takes long, until it is there; `mark` is told which it is. A view's numbers
+ * have gaps where it went to another split.
  */
-async function sceneThumb(scene, mark, signal) {
+async function sceneThumb(scene, mark, show, signal) {
   const size = {width: 320, height: 240};
   const rendered = async (of) =>
       (await api.render(scene.id, {...of, format: 'jpeg'}, signal)).blob;
@@ -155,15 +159,28 @@ async function sceneThumb(scene, mark, signal) {
   }
   const views = await api.cameras(scene.dataset, signal);
   const {split, index} = views.find((item) => item.split === 'train') ?? views[0];
+  const photograph = () => api.photo(scene.dataset, split, index, 0, signal);
   if (scene.loaded && scene.steps > 0 && mayRender()) {
+    let there = false;
+    const standIn = async () => {
+      await sleep(STANDS_IN_MS, signal);
+      const blob = there ? null : await photograph();
+      if (there) return;
+      text(mark, 'photograph');
+      show(blob);
+    };
+    standIn().catch(() => {});
     try {
-      return await rendered({view: `${split}:${index}`, size});
+      const blob = await rendered({view: `${split}:${index}`, size});
+      there = true;
+      text(mark, '');
+      return blob;
     } catch (error) {
       if (signal.aborted) throw error;
     }
   }
   text(mark, 'photograph');
-  return api.photo(scene.dataset, split, index, 0, signal);
+  return photograph();
 }
 
 function datasetRow(set) {
