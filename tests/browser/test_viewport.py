@@ -88,6 +88,22 @@ def test_what_is_laid_over_the_view_says_that_it_comes_or_why_not(scene):
     scene.until(lambda: "not shown" not in scene.text(".viewport-tools"), "nothing to say")
 
 
+def test_a_photograph_stands_in_until_the_first_picture_is_there(page, fake):
+    api = fake("busy")
+    coarse, refined = threading.Event(), threading.Event()
+    api.world.on_render = lambda body: (refined if body["format"] == "png" else coarse).wait(PATIENCE_S)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("A photograph, until the first picture is there", ".cover-note")
+    page.until(lambda: page.run("return document.querySelector('.first').naturalWidth;"), "it")
+    coarse.set()
+    page.find(".stage[data-level=coarse]")
+    page.until(lambda: not page.all(".first") and not page.find(".stage").find_element(
+        "css selector", ".cover-note").is_displayed(), "nothing over the picture")
+    refined.set()
+    page.find(".stage[data-level=refined]")
+    assert page.complaints() == []
+
+
 def test_a_double_click_looks_at_what_is_there(scene, asked):
     """The depth at that point is asked for, from where the camera stands."""
     pose = camera(scene)

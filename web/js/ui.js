@@ -52,6 +52,9 @@ function onReturn(node, again) {
 export const recordedProblem = (problem) => problemBox(
     {title: problem.title, detail: problem.detail, errors: problem.errors ?? [], message: ''});
 
+/** A rendering that takes longer is preceded by a photograph. */
+export const STANDS_IN_MS = 400;
+
 /** A progress bar with its own words below. `set(fraction|null, words)` */
 export function meter(label) {
   const bar = h('progress', {max: 1, 'aria-label': label});

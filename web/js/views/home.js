@@ -4,13 +4,22 @@ import {fill, follow, h, lazyImage, sleep, text} from '../dom.js';
 import {isActive, isVisitor, may, mayChange, mayRender, refreshSoon, trainingOf, watch} from '../store.js';
 import {cameraOf, defaultOrbit, orbitOfCamera} from '../orbit.js';
 import {ago, bytes, decibel, plural, seconds, whole} from '../format.js';
-import {action, chip, confirmFirst, empty, meter, panel, scroller, setChip, skeleton} from '../ui.js';
+import {
+  action,
+  chip,
+  confirmFirst,
+  empty,
+  meter,
+  panel,
+  scroller,
+  setChip,
+  skeleton,
+  STANDS_IN_MS
+} from '../ui.js';
 import {link} from '../router.js';
 import {jobRow} from './jobs.js';
 import {uploadPanel} from './upload.js';
 import {showVisit} from './visit.js';
-
-const STANDS_IN_MS = 400;  // a rendering that takes longer is preceded by a photograph
 
 export function homeView(root, {signal}) {
   const scenes = h('div', {class: 'cards'});

@@ -18,13 +18,13 @@ import {
   wordOfOrbit
 } from '../orbit.js';
 import {add, column, cross, scale, unit} from '../vector.js';
-import {fill, h, saveBlob, text} from '../dom.js';
+import {fill, h, saveBlob, showBlob, sleep, text} from '../dom.js';
 import {readGrey16} from '../grey16.js';
 import {opticsOfPicture} from '../optics.js';
 import {compact, milliseconds, seconds, whole} from '../format.js';
 import {legend, OUTPUTS} from '../outputs.js';
 import {createViewer} from '../viewer.js';
-import {action, choice, copyWords, toast} from '../ui.js';
+import {action, choice, copyWords, STANDS_IN_MS, toast} from '../ui.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
 import {may, means, state} from '../store.js';
@@ -68,6 +68,7 @@ export function createViewport(scene, cameras, host, signal) {
   const cover =
       h('div', {class: 'cover-note', role: 'status'},
         h('span', {class: 'spinner', 'aria-hidden': 'true'}), 'Waiting for the first picture');
+  const photograph = h('img', {class: 'first', alt: '', draggable: 'false'});  // until there is one
   const keyed = host.onKey ? ', K records a key, U moves the chosen key here' : '';
   const help =
       `Arrow keys turn, Shift and arrows move, W A S D Q E fly, plus and minus come nearer and go away, F fills the screen, R resets${keyed}.`;
@@ -139,7 +140,24 @@ export function createViewport(scene, cameras, host, signal) {
     return {width: even(stage.clientWidth), height: even(stage.clientHeight)};
   }
 
+  /** The view that is begun at, as it was photographed, where its picture takes long. */
+  async function standIn() {
+    const isWanted = () =>
+        orbit === start && !stage.dataset.ready && stage.dataset.trouble !== 'true';
+    await sleep(STANDS_IN_MS, signal);
+    const blob =
+        isWanted() && await api.photo(scene.dataset, first.split, first.index, 0, signal);
+    if (!blob || !isWanted()) return;
+    showBlob(photograph, blob, signal);
+    cover.before(photograph);
+    fill(
+        cover, h('span', {class: 'spinner', 'aria-hidden': 'true'}),
+        'A photograph, until the first picture is there');
+  }
+  if (first?.split) standIn().catch(() => {});
+
   function set(next, exactPose = null, effects = {}) {
+    photograph.remove();
     orbit = next;
     pose = exactPose;
     optics = effects;
@@ -300,6 +318,8 @@ export function createViewport(scene, cameras, host, signal) {
     refined = facts.level === 2 && facts.output === 'rgb' ? facts.blob : null;
     if (facts.level === 2) host.onRefined(facts);
     if (facts.level === 2 && rival.value) beside();
+    photograph.remove();
+    cover.hidden = true;
     stage.dataset.ready = 'true';
     stage.dataset.level = LEVELS[facts.level];
     const now = performance.now();
@@ -327,6 +347,7 @@ export function createViewport(scene, cameras, host, signal) {
     cover.hidden = !error && stage.dataset.ready === 'true';
     stage.dataset.trouble = String(Boolean(error));
     if (!error) return;
+    photograph.remove();
     if (host.failed()) {
       fill(cover, 'No picture: training ended without a checkpoint.');
       return;
