@@ -128,7 +128,7 @@ static enum rn_exit encode(const struct rn_turn *turn, struct stand stand, const
     return status == RN_OK ? RN_EXIT_OK : rn_client_fail(&err);
 }
 
-// Of a scene that came without its photographs.
+// Of a scene that came without its photographs, from a build whose files told no camera.
 static const struct stand usual = {.up = {0, 0, 1},
                                    .elevation_rad = 0.35,
                                    .fov_y_rad = 0.7,
@@ -162,6 +162,15 @@ static enum rn_exit stand_of_dataset(struct rn_client *client, const struct rn_s
     return code;
 }
 
+// As the camera does at which one begins to look at a scene that came as a file.
+static void stand_of_file(const struct rn_scene *scene, struct stand *ret) {
+    const struct rn_scene_start *start = &scene->description.viewing.start;
+    struct rn_dataset_camera first = {.camera = start->camera};
+    const struct rn_camera_list_record cameras = {.items = &first, .item_count = 1};
+    find_stand(&cameras, start->up, scene->description.bounds.centre, ret);
+    ret->arc_rad = 2 * M_PI;
+}
+
 enum rn_exit rn_turn_path(struct rn_client *client, const char *scene, const struct rn_turn *turn,
                           char **ret_json, double *ret_covered_deg) {
     struct rn_scene record;
@@ -174,6 +183,8 @@ enum rn_exit rn_turn_path(struct rn_client *client, const char *scene, const str
         code = rn_client_usage(scene, "is not trained yet: where its middle lies is not known");
     else if (*record.dataset)
         code = stand_of_dataset(client, &record, &stand);
+    else if (record.description.viewing.start.camera.width > 0)
+        stand_of_file(&record, &stand);
     if (code == RN_EXIT_OK) {
         *ret_covered_deg = stand.arc_rad * 180 / M_PI;
         code = encode(turn, stand, bounds->centre, ret_json);

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import re
 import struct
 import urllib.error
@@ -50,6 +51,11 @@ def start_of(client, scene):
         return json.load(reply)
 
 
+def distance(camera, scene):
+    """Of a camera from the middle of a scene."""
+    return math.dist([row[3] for row in camera["world_from_camera"][:3]], scene["bounds"]["centre"])
+
+
 def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     """The file is what it says, and what it lost is what is lost where it is opened."""
     file, said = exported
@@ -77,6 +83,10 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     assert picture(elsewhere, "light", tmp_path / "there.png") == \
         picture(ball, "light", tmp_path / "here.png")
     elsewhere.run("turntable", "light", "-o", tmp_path / "turn.json")
+    turn = json.loads((tmp_path / "turn.json").read_text())["path"]
+    first = start_of(ball, "ball")["camera"]
+    assert turn["width"] == first["width"]
+    assert distance(turn["keys"][0], made) == pytest.approx(distance(first, made))
     assert "photographs are not here" in \
         elsewhere.run("curve", "light", "--measure", code=FAILED).stderr
     assert "--dataset" in elsewhere.run("export", "light", "-o", "p.ply", code=USAGE).stderr
