@@ -16,7 +16,7 @@
 #define ALL 20000      // corners that are looked for
 #define LEAST 32       // of them a photograph,
 #define MOST 256       // and at most
-#define CORNER 8.0     // grey levels a pixel, squared: the least of a corner's two gradients
+#define CORNER 8.0f    // grey levels a pixel, squared: the least of a corner's two gradients
 #define NEIGHBOURS 6   // photographs that a corner is looked for in,
 #define ALONG 0.85     // whose axes have at least this cosine with its own,
 #define TOO_NEAR 0.125 // no nearer than this share of the way to the last that could be,
@@ -144,7 +144,23 @@ static float corner_strength(const uint8_t *grey, int width, int x, int y) {
            (float)((2 * RN_PATCH_HALF - 1) * (2 * RN_PATCH_HALF - 1));
 }
 
-// The strongest corner of each of some `most` tiles that the picture is cut into.
+// The strongest corner of a tile, `to` being beyond its last pixel; strength CORNER: it has none.
+static struct corner find_corner(const struct look *look, const int from[2], const int to[2]) {
+    struct corner best = {.strength = CORNER};
+    for (int y = from[1]; y < to[1]; y++)
+        for (int x = from[0]; x < to[0]; x++) {
+            float strength = corner_strength(look->grey, look->camera.width, x, y);
+            if (strength > best.strength)
+                best = (struct corner){(float)x + 0.5f, (float)y + 0.5f, strength, {0}};
+        }
+    return best;
+}
+
+static int smaller(int a, int b) {
+    return a < b ? a : b;
+}
+
+// One of each of some `most` tiles that the picture is cut into.
 static void find_corners(struct look *look, int most) {
     int width = look->camera.width, height = look->camera.height, edge = RN_PATCH_HALF + 1;
     int tile = (int)ceil(sqrt((double)width * height / most));
@@ -152,14 +168,11 @@ static void find_corners(struct look *look, int most) {
                            sizeof *look->corners);
     for (int top = edge; look->corners && top < height - edge; top += tile)
         for (int left = edge; left < width - edge; left += tile) {
-            struct corner best = {.strength = CORNER};
-            for (int y = top; y < top + tile && y < height - edge; y++)
-                for (int x = left; x < left + tile && x < width - edge; x++) {
-                    float strength = corner_strength(look->grey, width, x, y);
-                    if (strength > best.strength)
-                        best = (struct corner){(float)x + 0.5f, (float)y + 0.5f, strength, {0}};
-                }
-            if (best.x > 0) look->corners[look->count++] = best;
+            const int from[2] = {left, top};
+            const int to[2] = {smaller(left + tile, width - edge),
+                               smaller(top + tile, height - edge)};
+            struct corner best = find_corner(look, from, to);
+            if (best.strength > CORNER) look->corners[look->count++] = best;
         }
 }
 

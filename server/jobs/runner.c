@@ -454,40 +454,40 @@ static enum rn_status begin_ingest(struct rn_control *control, struct rn_task *t
     return status;
 }
 
+// Sends the runner the order that a job of its type is.
+static enum rn_status send_order(struct rn_control *control, struct rn_task *task,
+                                 struct rn_error *err) {
+    switch (task->row.type) {
+    case RN_JOB_TRAIN:
+    case RN_JOB_ESTIMATE:
+        return begin_train(control, task, err);
+    case RN_JOB_PATH:
+    case RN_JOB_EVAL:
+        return begin_parts(control, task, err);
+    case RN_JOB_CURVE:
+        return begin_curve(control, task, err);
+    case RN_JOB_EFFECTS:
+        return begin_effects(control, task, err);
+    case RN_JOB_DOCTOR:
+        return begin_doctor(control, task, err);
+    case RN_JOB_EXPORT:
+        return begin_export(control, task, err);
+    case RN_JOB_INGEST:
+    case RN_JOB_VALIDATE:
+        return begin_ingest(control, task, err);
+    case RN_JOB_LADDER: // has no runner
+        break;
+    }
+    return RN_OK;
+}
+
 void rn_runner_begin(struct rn_control *control, struct rn_task *task) {
     struct rn_runner *runner = task->runner;
     struct rn_error err = {0};
     enum rn_status status = RN_OK;
     if (!task->sent) {
         rn_runner_post_trace(control, runner, task);
-        switch (task->row.type) {
-        case RN_JOB_TRAIN:
-        case RN_JOB_ESTIMATE:
-            status = begin_train(control, task, &err);
-            break;
-        case RN_JOB_PATH:
-        case RN_JOB_EVAL:
-            status = begin_parts(control, task, &err);
-            break;
-        case RN_JOB_CURVE:
-            status = begin_curve(control, task, &err);
-            break;
-        case RN_JOB_EFFECTS:
-            status = begin_effects(control, task, &err);
-            break;
-        case RN_JOB_DOCTOR:
-            status = begin_doctor(control, task, &err);
-            break;
-        case RN_JOB_EXPORT:
-            status = begin_export(control, task, &err);
-            break;
-        case RN_JOB_LADDER: // has none
-            break;
-        case RN_JOB_INGEST:
-        case RN_JOB_VALIDATE:
-            status = begin_ingest(control, task, &err);
-            break;
-        }
+        status = send_order(control, task, &err);
     } else if (task->row.state == RN_JOB_RUNNING) {
         rn_runner_post_job(control, runner, RN_WIRE_RESUME, task->row.id);
     }

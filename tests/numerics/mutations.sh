@@ -334,7 +334,7 @@ mutate commands server/engine/meson.build "flags: fast mathematics in the kernel
 mutate poses server/engine/scene/pose.c "poses: differences over one step in place of two" \
     's|(float)(2 \* step)|(float)step|'
 mutate poses server/engine/train/poses.c "poses: what all cameras turn by together stays" \
-    's|move.turn\[i\] -= mean.turn\[i\];||'
+    's|own.turn\[i\] -= mean->turn\[i\];||'
 mutate poses server/engine/train/lifetime.c "poses: moves of a checkpoint are not followed" \
     's|^.*// those that were moved$||'
 

@@ -68,6 +68,18 @@ struct line {
     double n, x, y, xx, xy;
 };
 
+static void add_to_line(struct line *l, double x, double y) {
+    l->n++, l->x += x, l->y += y, l->xx += x * x, l->xy += x * y;
+}
+
+// The line's value at x, 0 .. 1.
+static double value_on(const struct line *l, double x) {
+    double spread = l->n * l->xx - l->x * l->x;
+    double gain = spread > 1e-9 * l->n * l->n ? (l->n * l->xy - l->x * l->y) / spread : 1;
+    double offset = l->n > 0 ? (l->y - gain * l->x) / l->n : 0;
+    return fmin(fmax(gain * x + offset, 0), 1);
+}
+
 // Squared errors of the right (half 1) or left half after a fit on the other; *count: its values.
 static double fitted_half(const struct rn_picture *rendered, const struct rn_picture *truth,
                           const uint8_t *used, int half, size_t *count) {
@@ -80,19 +92,14 @@ static double fitted_half(const struct rn_picture *rendered, const struct rn_pic
             int x = (int)(i % (size_t)width);
             if (x < begin || x >= end || (used && !used[i])) continue;
             for (size_t c = 0; c < 3; c++) {
-                double r = (double)rendered->values[3 * i + c],
-                       t = (double)truth->values[3 * i + c];
-                struct line *l = &lines[c];
+                double shown = (double)rendered->values[3 * i + c];
+                double is = (double)truth->values[3 * i + c];
                 if (pass) {
-                    double spread = l->n * l->xx - l->x * l->x;
-                    double gain =
-                        spread > 1e-9 * l->n * l->n ? (l->n * l->xy - l->x * l->y) / spread : 1;
-                    double offset = l->n > 0 ? (l->y - gain * l->x) / l->n : 0;
-                    double off = fmin(fmax(gain * r + offset, 0), 1) - t;
+                    double off = value_on(&lines[c], shown) - is;
                     sum += off * off;
                     ++*count;
                 } else {
-                    l->n++, l->x += r, l->y += t, l->xx += r * r, l->xy += r * t;
+                    add_to_line(&lines[c], shown, is);
                 }
             }
         }

@@ -57,28 +57,30 @@ static void put_row(struct building *b, int x, int y, int z, unsigned set) {
     }
 }
 
-// Chebyshev distance by one pass a direction along each axis.
+// The least over a line's bricks of the larger of what stands there and the way to there.
+static void spread_along(uint8_t *line, size_t stride, int bricks) {
+    uint8_t out[512];
+    for (int to = 0; to < bricks; to++) {
+        int least = 255;
+        for (int from = 0; from < bricks; from++) {
+            int way = abs(to - from), there = line[(size_t)from * stride];
+            int longer = way > there ? way : there;
+            if (longer < least) least = longer;
+        }
+        out[to] = (uint8_t)least;
+    }
+    for (int to = 0; to < bricks; to++)
+        line[(size_t)to * stride] = out[to];
+}
+
+// Chebyshev distance, one axis after the other.
 static void spread_distance(uint8_t *distance, int bricks) {
     size_t strides[3] = {(size_t)bricks * bricks, (size_t)bricks, 1};
     for (int axis = 0; axis < 3; axis++) {
-        size_t s = strides[axis], a = strides[(axis + 1) % 3], b = strides[(axis + 2) % 3];
+        size_t a = strides[(axis + 1) % 3], b = strides[(axis + 2) % 3];
         for (int i = 0; i < bricks; i++)
-            for (int j = 0; j < bricks; j++) {
-                uint8_t *line = distance + (size_t)i * a + (size_t)j * b;
-                // exact for Chebyshev only if each axis takes the lower envelope of max(|d|, f)
-                uint8_t out[512];
-                for (int k = 0; k < bricks; k++) {
-                    int best = 255;
-                    for (int q = 0; q < bricks; q++) {
-                        int d = k > q ? k - q : q - k, f = line[(size_t)q * s];
-                        int m = d > f ? d : f;
-                        if (m < best) best = m;
-                    }
-                    out[k] = (uint8_t)best;
-                }
-                for (int k = 0; k < bricks; k++)
-                    line[(size_t)k * s] = out[k];
-            }
+            for (int j = 0; j < bricks; j++)
+                spread_along(distance + (size_t)i * a + (size_t)j * b, strides[axis], bricks);
     }
 }
 

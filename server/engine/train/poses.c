@@ -255,13 +255,28 @@ static void from_world(const struct rn_camera *camera, const struct world_move *
     }
 }
 
+// What a move has beyond the mean turn and shift, and where from their middle; returned: the move.
+static struct world_move beyond_mean(const struct world_move *move, const struct world_move *mean,
+                                     double ret_from[3]) {
+    struct world_move own = *move;
+    double around[3];
+    for (int i = 0; i < 3; i++)
+        ret_from[i] = move->at[i] - mean->at[i];
+    rn_cross(mean->turn, ret_from, around);
+    for (int i = 0; i < 3; i++) {
+        own.turn[i] -= mean->turn[i];
+        own.shift[i] = move->shift[i] - mean->shift[i] - around[i];
+    }
+    return own;
+}
+
 // Cameras that all turn, move and scatter together move nothing in their pictures but the gauge, in
 // which other photographs' poses are given. Takes off the similarity that is nearest to what they
 // did: turn `mean.turn`, shift `mean.shift`, both about `mean.at`, and a scale.
 static void keep_gauge(struct rn_trainer *t) {
     struct world_move mean = {{0}, {0}, {0}};
     int count = t->poses.view_count;
-    double along = 0, squares = 1e-30;
+    double along = 0, squares = 1e-30, from[3];
     for (int f = 0; f < count; f++) {
         struct world_move move = in_world(t, f);
         for (int i = 0; i < 3; i++) {
@@ -270,21 +285,19 @@ static void keep_gauge(struct rn_trainer *t) {
             mean.at[i] += move.at[i] / count;
         }
     }
-    for (int pass = 0; pass < 2; pass++)
-        for (int f = 0; f < count; f++) {
-            struct world_move move = in_world(t, f);
-            double from[3], around[3];
-            for (int i = 0; i < 3; i++)
-                from[i] = move.at[i] - mean.at[i];
-            rn_cross(mean.turn, from, around);
-            for (int i = 0; i < 3; i++) {
-                double own = move.shift[i] - mean.shift[i] - around[i];
-                if (pass == 0) along += own * from[i], squares += from[i] * from[i];
-                move.turn[i] -= mean.turn[i];
-                move.shift[i] = own - along / squares * from[i];
-            }
-            if (pass == 1) from_world(&t->train.frames[f].frame->camera, &move, t->poses.moves[f]);
+    for (int f = 0; f < count; f++) {
+        struct world_move move = in_world(t, f), own = beyond_mean(&move, &mean, from);
+        for (int i = 0; i < 3; i++) {
+            along += own.shift[i] * from[i];
+            squares += from[i] * from[i];
         }
+    }
+    for (int f = 0; f < count; f++) {
+        struct world_move move = in_world(t, f), own = beyond_mean(&move, &mean, from);
+        for (int i = 0; i < 3; i++)
+            own.shift[i] -= along / squares * from[i];
+        from_world(&t->train.frames[f].frame->camera, &own, t->poses.moves[f]);
+    }
 }
 
 static void tell(struct rn_trainer *t) {

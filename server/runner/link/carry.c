@@ -58,7 +58,7 @@ struct carrier {
     size_t known_count, known_room, wanted, asked;
     struct held *first, *last;
     char *scene, *dataset; // as the daemon names them; NULL before they are opened
-    bool greeted, told, up_closed;
+    bool told, up_closed;
     int64_t said_ns;
 };
 
