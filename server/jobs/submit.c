@@ -264,12 +264,12 @@ static enum rn_status make_folder(struct rn_control *control, const char *job,
 
 static enum rn_status write_draft(struct rn_control *control, const struct rn_submission *wanted,
                                   struct draft *draft, struct rn_error *err) {
-    enum rn_status status = make_folder(control, draft->job.id, err);
+    enum rn_status status = rn_store_begin(control->store, err); // the data folder is there
     if (status != RN_OK) return status;
-    if (wanted->spooled != NULL) status = rn_file_rename(wanted->spooled, draft->job.source, err);
-    if (status == RN_OK) status = rn_store_begin(control->store, err);
-    if (status != RN_OK) goto fail;
-    status = rn_store_insert(control->store, &rn_jobs_table, &draft->job, err);
+    status = make_folder(control, draft->job.id, err);
+    if (status == RN_OK && wanted->spooled != NULL)
+        status = rn_file_rename(wanted->spooled, draft->job.source, err);
+    if (status == RN_OK) status = rn_store_insert(control->store, &rn_jobs_table, &draft->job, err);
     if (status == RN_OK && wanted->type == RN_JOB_TRAIN)
         status = rn_store_insert(control->store, &rn_scenes, &draft->scene, err);
     if (status == RN_OK && wanted->key != NULL) {
@@ -283,7 +283,6 @@ static enum rn_status write_draft(struct rn_control *control, const struct rn_su
         status = rn_store_commit(control->store, err);
     else
         rn_store_rollback(control->store);
-fail:
     if (status != RN_OK && wanted->spooled != NULL) unlink(draft->job.source);
     return status;
 }

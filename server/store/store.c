@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -206,13 +207,17 @@ char *rn_store_path(const struct rn_store *store, const char *fmt, ...) {
 }
 
 enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) {
-    struct stat about;
-    if (fstat(store->lock_fd, &about) != 0)
+    struct stat held, there;
+    char path[PATH_MAX];
+    if (fstat(store->lock_fd, &held) != 0)
         return rn_error_from_errno(err, errno, store->folder, "look at it");
-    if (about.st_nlink > 0) return RN_OK;
+    snprintf(path, sizeof path, "%s/lock", store->folder);
+    if (stat(path, &there) == 0 ? there.st_ino == held.st_ino && there.st_dev == held.st_dev
+                                : held.st_nlink > 0 && errno != ENOENT && errno != ENOTDIR)
+        return RN_OK;
     return rn_error_set(err, RN_ERROR_IO, store->folder,
-                        "the data folder was removed under the daemon: nothing is kept any more; "
-                        "stop it");
+                        "the data folder was moved or removed under the daemon: nothing is kept "
+                        "any more; put it back, or stop the daemon");
 }
 
 static enum rn_status run(struct rn_store *store, const char *sql, struct rn_error *err) {

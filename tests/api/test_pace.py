@@ -333,6 +333,23 @@ def test_data_folder_that_is_removed_underneath(make_daemon):
         assert reply.status == 500 and "moved or removed" in reply.json["detail"]
 
 
+def test_data_folder_that_is_moved_underneath(make_daemon, photographs):
+    """Nor what would be kept elsewhere than where it is looked for; put back, it is as it was."""
+    daemon = make_daemon()
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    data, elsewhere = Path(daemon.data), Path(daemon.data).with_name("elsewhere")
+    train = {"type": "train", "dataset": "data", "scene": "s", "options": {"max_steps": 2}}
+    writes = (("/v1/camera-paths", big_path("p", 2)), ("/v1/jobs", train),
+              ("/v1/tokens", {"name": "t"}))
+    data.rename(elsewhere)
+    for path, body in writes:
+        reply = daemon.post(path, body, check=False)
+        assert reply.status == 500 and "moved or removed" in reply.json["detail"], path
+    elsewhere.rename(data)
+    assert [daemon.post(path, body).status for path, body in writes] == [201, 202, 201]
+    assert daemon.wait(daemon.get("/v1/jobs").json["items"][0]["id"])["state"] == "succeeded"
+
+
 def test_uploads_have_a_common_limit(make_daemon):
     daemon = make_daemon(header_timeout=600)
     head = (b"POST /v1/datasets?name=%d HTTP/1.1\r\nHost: localhost\r\n"

@@ -240,6 +240,7 @@ int sim_mkdir(const char *path, mode_t mode) {
 static void describe(uint32_t inode, struct stat *about) {
     const struct sim_inode *it = &sim->disk.inodes[inode];
     *about = (struct stat){
+        .st_ino = inode,
         .st_mode = it->kind == SIM_FOLDER ? S_IFDIR | 0700 : S_IFREG | 0600,
         .st_nlink = it->linked,
         .st_size = (off_t)it->now.size,
