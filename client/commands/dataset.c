@@ -12,10 +12,12 @@
 #include "client/commands/submit.h"
 #include "client/commands/upload.h"
 #include "client/follow.h"
+#include "client/interrupt.h"
 #include "client/table.h"
 #include "common/base/threads.h"
 #include "common/dataset/dataset.h"
 #include "common/dataset/photos.h"
+#include "common/math/numbers.h"
 #include "proto/checks.h"
 #include "proto/dataset.h"
 #include "proto/report.h"
@@ -103,7 +105,7 @@ static bool show_checked(void *context, size_t done, size_t total) {
 static bool show_made(void *context, size_t done, size_t total) {
     rn_progress_update(context, (double)done / (double)total, "%zu of %zu images made", done,
                        total);
-    return true;
+    return !rn_interrupt_seen();
 }
 
 // Reads a dataset and decodes its images; what is wrong goes into `problems`. NULL when nothing
@@ -372,10 +374,12 @@ static const struct rn_option import_table[] = {
 static void print_findings(const struct rn_dataset_record *dataset) {
     struct rn_dataset_report_record report;
     const struct rn_bounds_record *bounds = &dataset->bounds;
+    double centre[3];
+    for (int i = 0; i < 3; i++)
+        centre[i] = rn_unless_zero(bounds->centre[i], bounds->radius);
     if (dataset->capture >= 0) printf("%s, ", rn_capture_titles[dataset->capture]);
-    printf("bounds: centre (%.4g, %.4g, %.4g), radius %.4g, %s\n", bounds->centre[0],
-           bounds->centre[1], bounds->centre[2], bounds->radius,
-           rn_bounds_source_titles[bounds->source]);
+    printf("bounds: centre (%.4g, %.4g, %.4g), radius %.4g, %s\n", centre[0], centre[1], centre[2],
+           bounds->radius, rn_bounds_source_titles[bounds->source]);
     if (!dataset->report || rn_decode(&rn_dataset_report_table, dataset->report,
                                       strlen(dataset->report), &report, NULL, NULL) != RN_OK)
         return;
@@ -562,7 +566,9 @@ static enum rn_exit run_synth(struct rn_client *client, const void *context, con
         return rn_client_usage("--lens", "\"%.80s\" is not K1,K2,P1,P2 or the first of them",
                                options->lens);
     rn_progress_init(&progress, !client->json);
-    enum rn_status status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);
+    enum rn_status status = rn_interrupt_catch(&err);
+    if (status == RN_OK)
+        status = rn_synthesise(args[0], &synth, args[1], show_made, &progress, &err);
     rn_progress_finish(&progress);
     if (status == RN_ERROR_INVALID) {
         char where[64];

@@ -8,6 +8,7 @@
 #include "client/commands/export_job.h"
 #include "client/follow.h"
 #include "client/outcome.h"
+#include "common/math/numbers.h"
 #include "proto/event.h"
 #include "proto/render.h"
 #include "proto/scene.h"
@@ -172,12 +173,16 @@ static void print_dataset(const void *message) {
                 (long long)dataset->width, (long long)dataset->height, (long long)dataset->scales,
                 dataset->scales == 1 ? "" : "s", dataset->has_alpha ? "with" : "without", bytes);
     print_field("averaged", "%s", dataset->premultiplied ? "premultiplied" : "straight");
-    print_field("bounds", "centre (%g, %g, %g), radius %g, %s", dataset->bounds.centre[0],
-                dataset->bounds.centre[1], dataset->bounds.centre[2], dataset->bounds.radius,
-                rn_bounds_source_titles[dataset->bounds.source]);
+    double radius = dataset->bounds.radius, centre[3], up[3];
+    for (int i = 0; i < 3; i++) {
+        centre[i] = rn_unless_zero(dataset->bounds.centre[i], radius);
+        up[i] = rn_unless_zero(dataset->up[i], 1);
+    }
+    print_field("bounds", "centre (%g, %g, %g), radius %g, %s", centre[0], centre[1], centre[2],
+                radius, rn_bounds_source_titles[dataset->bounds.source]);
     if (dataset->capture >= 0)
         print_field("capture", "%s, up is (%.3g, %.3g, %.3g)", rn_capture_titles[dataset->capture],
-                    dataset->up[0], dataset->up[1], dataset->up[2]);
+                    up[0], up[1], up[2]);
     if (isfinite(dataset->crop[0]))
         print_field("crop", "%g, %g, %g to %g, %g, %g", dataset->crop[0], dataset->crop[1],
                     dataset->crop[2], dataset->crop[3], dataset->crop[4], dataset->crop[5]);

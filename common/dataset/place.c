@@ -365,7 +365,9 @@ static void tell_slope(double below_deg, char *text, size_t capacity) {
 
 void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place *place) {
     char seen[128], slope[32];
-    const double *up = place->lie.up;
+    double up[3];
+    for (int i = 0; i < 3; i++)
+        up[i] = rn_unless_zero(place->lie.up[i], 1);
     tell_of_what_is_seen(place, seen, sizeof seen);
     tell_slope(place->below_deg, slope, sizeof slope);
     rn_problems_add(

@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/base/file.h"
 #include "common/dataset/output.h"
@@ -331,6 +332,25 @@ static enum rn_status check_camera(const struct synth *synth, struct rn_error *e
     return RN_OK;
 }
 
+// What was made before it failed, in a folder that was empty.
+static void take_back(const char *target, bool was_there) {
+    static const char *const names[] = {"images",
+                                        "sparse",
+                                        "train",
+                                        "val",
+                                        "test",
+                                        "transforms_train.json",
+                                        "transforms_val.json",
+                                        "transforms_test.json"};
+    char *path;
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        if (asprintf(&path, "%s/%s", target, names[i]) < 0) continue;
+        (void)rn_remove_tree(path, NULL);
+        free(path);
+    }
+    if (!was_there) (void)rmdir(target);
+}
+
 enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *options,
                              const char *target,
                              bool (*progress)(void *context, size_t done, size_t total),
@@ -346,11 +366,13 @@ enum rn_status rn_synthesise(const char *scene, const struct rn_synth_options *o
         synth.count[RN_SPLIT_VAL] = 0;
         synth.count[RN_SPLIT_TEST] = (options->views + CAPTURE_TEST - 2) / (CAPTURE_TEST - 1);
     }
-    if ((status = check_camera(&synth, err)) || (status = rn_output_check_new(target, err)) ||
-        (status = make_folders(&synth, err)) ||
+    bool was_there = access(target, F_OK) == 0;
+    if ((status = check_camera(&synth, err)) || (status = rn_output_check_new(target, err)))
+        return status;
+    if ((status = make_folders(&synth, err)) ||
         (status = rn_output_run(options->threads, total_views(&synth), make_view, &synth, progress,
                                 context, target, err)) ||
-        (status = rn_output_sync(target, err)))
-        return status;
-    return write_cameras(&synth, err);
+        (status = rn_output_sync(target, err)) || (status = write_cameras(&synth, err)))
+        take_back(target, was_there);
+    return status;
 }

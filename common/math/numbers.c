@@ -24,3 +24,7 @@ double rn_numbers_median(double *numbers, size_t count) {
     rn_numbers_sort(numbers, count);
     return 0.5 * (numbers[(count - 1) / 2] + numbers[count / 2]);
 }
+
+double rn_unless_zero(double value, double scale) {
+    return fabs(value) <= 1e-9 * scale ? 0 : value;
+}

@@ -12,5 +12,8 @@ double rn_numbers_quantile(double *numbers, size_t count, double share);
 
 // Of an even count the mean of the two in the middle; sorts them; NAN of none.
 double rn_numbers_median(double *numbers, size_t count);
+// A value to be told: 0 in place of what differs from it by rounding alone, beside lengths of
+// `scale`, as (-2e-17, 0, 1) does from (0, 0, 1).
+double rn_unless_zero(double value, double scale);
 
 #endif

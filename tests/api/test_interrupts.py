@@ -3,8 +3,10 @@
 import io
 import json
 import os
+import resource
 import shlex
 import signal
+import subprocess
 import tarfile
 from pathlib import Path
 
@@ -119,6 +121,26 @@ def test_a_watch_that_nobody_reads_ends(client, daemon):
     assert process.returncode == FAILED
     assert json.loads(process.stderr.read())["error"]["where"] == "standard output"
     client.run("cancel", job)
+
+
+def test_photographs_that_were_not_all_made_are_taken_back(client, tmp_path):
+    (tmp_path / "there").mkdir()
+    for name, extra in (("new", ()), ("there", ("--capture",))):
+        process = client.start("synth", "sphere", name, "--size", 64, "--views", 10000, *extra)
+        wait_for(lambda name=name: list((tmp_path / name).rglob("*.png")))
+        process.send_signal(signal.SIGINT)
+        assert "cancelled" in end(process, CANCELLED)
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["there"]
+
+    def leave_no_room():  # for a file of more than 4 kB
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    said = subprocess.run(client.command("synth", "sphere", "new", "--size", 200, "--views", 3),
+                          cwd=tmp_path, capture_output=True, text=True, check=False,
+                          env=client.environment, restore_signals=False, preexec_fn=leave_no_room)
+    assert said.returncode == FAILED and "File too large" in said.stderr
+    assert not (tmp_path / "new").exists()
 
 
 def train_slowly(client, daemon, *options):

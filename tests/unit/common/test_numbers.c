@@ -19,6 +19,12 @@ START_TEST(quantiles) {
 }
 END_TEST
 
+START_TEST(numbers_that_are_told) {
+    ck_assert(!signbit(rn_unless_zero(-2e-17, 1)) && rn_unless_zero(-2e-17, 1) <= 0);
+    ck_assert_double_eq(rn_unless_zero(-2e-5, 2), -2e-5);
+}
+END_TEST
+
 START_TEST(axes_complete_up) {
     const double ups[][3] = {{0, 0, 1}, {1, 0, 0}, {0, -1, 0}, {0.9, 0, -0.43588989435406735}};
     for (size_t u = 0; u < sizeof ups / sizeof *ups; u++) {
@@ -63,6 +69,7 @@ int main(void) {
     Suite *suite = suite_create("numbers");
     TCase *all = tcase_create("all");
     tcase_add_test(all, quantiles);
+    tcase_add_test(all, numbers_that_are_told);
     tcase_add_test(all, axes_complete_up);
     tcase_add_test(all, arcs);
     tcase_add_test(all, nearest);
