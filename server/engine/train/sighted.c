@@ -2,8 +2,10 @@
 // through all that lies between, and what photographs beside each other both saw, a camera between
 // them would see too. Cells that several such lines cross, cells that lie about cameras and the
 // ways between them, far nearer than anything these saw, and near none of which a point lies, begin
-// empty, so that rays skip them from the first step on and no haze settles there: bare walls and
-// floors look the same from wherever it hangs, and it hides things from places between the cameras.
+// empty, and so do those that several photographs see through between their points
+// (train/sheets.h): rays skip them from the first step on, and no haze settles there. Bare walls
+// and floors look the same from wherever it hangs, and it hides things from places between the
+// cameras.
 #include <math.h>
 #include <stdlib.h>
 
@@ -12,10 +14,12 @@
 #include "common/math/vector.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/space.h"
+#include "server/engine/train/sheets.h"
 #include "server/engine/train/trainer.h"
 
 #define CROSSED 3  // lines that make a cell empty: one may be of a wrong match
-#define NEAR 2     // cells to each side of a point that are left alone
+#define NEAR 1     // cells to each side of a point that are left alone,
+#define SHORT 2.0  // and before it at the end of its lines
 #define KEPT 255   // stands for them where lines are counted
 #define PLACES 128 // that are looked at along a line
 #define MOST 50000 // sightings that are followed, of points evenly among all
@@ -29,6 +33,10 @@
 #define CLEAR 0.7    // and all about it that is no farther than this times what they saw nearest:
 #define NEAREST 0.05 // such a share of a photograph's points is nearer: wrong matches
 #define ENOUGH 20    // points without which a photograph says nothing of that
+
+#define SHEETS 96   // photographs, evenly among all, that are asked what they see through:
+#define THROUGH 3   // of them make a cell empty,
+#define OVERRULED 5 // one beside a point, which is then a wrong match
 
 struct lines {
     struct rn_trainer *trainer;
@@ -59,6 +67,23 @@ static size_t cell_of(const struct lines *lines, const double at[3]) {
     return rn_cell_index(cell[0], cell[1], cell[2], lines->cells);
 }
 
+// Of a cell, in dataset units; false where it is farther than all of space.
+static bool middle_of(const struct lines *lines, size_t index, double ret[3]) {
+    const struct rn_bounds *bounds = &lines->trainer->field->bounds;
+    int cell[3];
+    double squares = 0;
+    rn_cell_at(index, lines->cells, cell);
+    for (int k = 0; k < 3; k++) {
+        ret[k] = (2 * cell[k] + 1.0) / lines->cells - 1;
+        squares += ret[k] * ret[k];
+    }
+    if (!(squares < 1)) return false;
+    double scale = (double)rn_uncontracted((rn_real)sqrt(squares)) / sqrt(squares);
+    for (int k = 0; k < 3; k++)
+        ret[k] = bounds->centre[k] + bounds->radius * scale * ret[k];
+    return true;
+}
+
 static void keep_around(const struct lines *lines, const double at[3]) {
     int side = 2 * NEAR + 1;
     for (int i = 0; i < side * side * side; i++) {
@@ -77,7 +102,7 @@ static void cross(uint8_t *crossed) {
 }
 
 static void follow(const struct lines *lines, const double camera[3], const double point[3]) {
-    double end[3], reach = 2.0 * (NEAR + 1) / lines->cells;
+    double end[3], reach = 2.0 * SHORT / lines->cells;
     size_t last = SIZE_MAX;
     contract(lines->trainer->field, point, end);
     for (int place = 0; place < PLACES; place++) {
@@ -262,27 +287,75 @@ static bool lies_by(const struct stand *stand, const double point[3]) {
 static void clear_layer(void *context, int layer, int thread) {
     (void)thread;
     const struct stands *stands = context;
-    const struct rn_bounds *bounds = &stands->lines->trainer->field->bounds;
-    int side = stands->lines->cells;
-    size_t first = (size_t)layer * (size_t)side * (size_t)side;
-    for (size_t i = first; i < first + (size_t)side * (size_t)side; i++) {
-        int cell[3];
-        double at[3], squares = 0;
-        rn_cell_at(i, side, cell);
-        for (int k = 0; k < 3; k++) {
-            at[k] = (2 * cell[k] + 1.0) / side - 1;
-            squares += at[k] * at[k];
-        }
-        if (stands->lines->crossed[i] == KEPT || !(squares < 1)) continue;
-        double scale = (double)rn_uncontracted((rn_real)sqrt(squares)) / sqrt(squares);
-        for (int k = 0; k < 3; k++)
-            at[k] = bounds->centre[k] + bounds->radius * scale * at[k];
+    size_t side = (size_t)stands->lines->cells, first = (size_t)layer * side * side;
+    for (size_t i = first; i < first + side * side; i++) {
+        double at[3];
+        if (stands->lines->crossed[i] == KEPT || !middle_of(stands->lines, i, at)) continue;
         for (size_t s = 0; s < stands->count; s++)
             if (lies_by(&stands->items[s], at)) {
                 stands->lines->crossed[i] = CROSSED;
                 break;
             }
     }
+}
+
+// ---- what photographs see through between their points ---------------------------------------
+
+struct sheets {
+    const struct lines *lines;
+    struct rn_sheet *items;
+    size_t count, stride; // of the photographs
+};
+
+static void make_sheet(void *context, int index, int thread) {
+    (void)thread;
+    const struct sheets *sheets = context;
+    const struct lines *lines = sheets->lines;
+    const struct rn_pixels *pixels = &lines->trainer->train;
+    const struct rn_pixel_frame *frame = &pixels->frames[(size_t)index * sheets->stride];
+    const struct rn_point *points = lines->trainer->dataset->points.items;
+    struct rn_sheet_point *placed = malloc((lines->count + 1) * sizeof *placed);
+    size_t count = 0;
+    for (size_t i = 0; placed && i < lines->count; i++)
+        if (lines->views[i].photo == (uint32_t)frame->frame->photo)
+            count += rn_sheet_place(&frame->camera, points[lines->views[i].point].position,
+                                    &placed[count]);
+    sheets->items[index] = rn_sheet_make(pixels, frame, placed, count);
+    free(placed);
+}
+
+// Of a layer of cells, those that enough photographs see through.
+static void see_through_layer(void *context, int layer, int thread) {
+    (void)thread;
+    const struct sheets *sheets = context;
+    const struct lines *lines = sheets->lines;
+    size_t area = (size_t)lines->cells * (size_t)lines->cells, first = (size_t)layer * area;
+    for (size_t i = first; i < first + area; i++) {
+        double at[3];
+        bool kept = lines->crossed[i] == KEPT;
+        int through = 0, enough = kept ? OVERRULED : THROUGH;
+        if (lines->trainer->field->occupancy[i] == 0) continue;
+        if ((lines->crossed[i] >= CROSSED && !kept) || !middle_of(lines, i, at)) continue;
+        for (size_t s = 0; s < sheets->count && through < enough; s++)
+            through += rn_sheet_sees_through(&sheets->items[s], at);
+        if (through == enough) lines->crossed[i] = CROSSED;
+    }
+}
+
+// Without memory: nothing more is known.
+static void see_through(const struct lines *lines) {
+    struct rn_trainer *t = lines->trainer;
+    size_t finest =
+        (size_t)(t->train.scale_count > 1 ? t->train.scale_first[1] : t->train.frame_count);
+    struct sheets sheets = {.lines = lines, .stride = (finest + SHEETS - 1) / SHEETS};
+    sheets.count = (finest + sheets.stride - 1) / sheets.stride;
+    sheets.items = calloc(sheets.count, sizeof *sheets.items);
+    if (!sheets.items) return;
+    rn_pool_run(t->engine->pool, (int)sheets.count, make_sheet, &sheets);
+    rn_pool_run(t->engine->pool, lines->cells, see_through_layer, &sheets);
+    for (size_t i = 0; i < sheets.count; i++)
+        rn_sheet_finish(&sheets.items[i]);
+    free(sheets.items);
 }
 
 static void carve(struct lines *lines) {
@@ -298,6 +371,7 @@ static void carve(struct lines *lines) {
     struct stands stands = list_stands(lines);
     if (stands.items) rn_pool_run(t->engine->pool, lines->cells, clear_layer, &stands);
     free(stands.items);
+    see_through(lines);
     for (size_t i = 0; i < cells; i++)
         if (lines->crossed[i] >= CROSSED && lines->crossed[i] != KEPT) t->field->occupancy[i] = 0;
 }
