@@ -165,6 +165,55 @@ static const struct rn_frame **frames_by_path(const struct rn_dataset *dataset) 
     return frames;
 }
 
+// Those that are trained on first.
+static int compare_shared(const void *a, const void *b) {
+    const struct rn_frame *const *left = a, *const *right = b;
+    int order = compare_paths(a, b);
+    return order ? order : (int)(*left)->split - (int)(*right)->split;
+}
+
+enum rn_status rn_reader_leave_out_shared(struct rn_reader *reader, struct rn_error *err) {
+    struct rn_dataset *dataset = reader->dataset;
+    const struct rn_frame **frames = frames_by_path(dataset), *trained_on = NULL;
+    bool *shared = calloc(dataset->frame_count + 1, sizeof *shared);
+    size_t kept = 0, left_out[RN_SPLIT_COUNT] = {0}, of[RN_SPLIT_COUNT] = {0};
+    if (!frames || !shared) {
+        free(frames);
+        free(shared);
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
+    }
+    qsort(frames, dataset->frame_count, sizeof *frames, compare_shared);
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        if (frames[i]->split == RN_SPLIT_TRAIN)
+            trained_on = frames[i];
+        else
+            shared[frames[i] - dataset->frames] =
+                trained_on && strcmp(trained_on->path, frames[i]->path) == 0;
+    }
+    free(frames);
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        struct rn_frame *frame = &dataset->frames[i];
+        of[frame->split]++;
+        left_out[frame->split] += shared[i];
+        if (shared[i])
+            rn_frame_finish(frame);
+        else
+            dataset->frames[kept++] = *frame;
+    }
+    dataset->frame_count = kept;
+    free(shared);
+    for (enum rn_split split = 0; split < RN_SPLIT_COUNT; split++)
+        if (left_out[split])
+            rn_problems_add(reader->problems, RN_SEVERITY_WARNING, reader->folder,
+                            "%zu of %zu %s views are photographs that are trained on too: left "
+                            "out, as they would say how well these were learnt by heart%s",
+                            left_out[split], of[split], rn_split_name(split),
+                            split == RN_SPLIT_TEST && left_out[split] == of[split]
+                                ? "; --split every:8 tests with each 8th photograph"
+                                : "");
+    return RN_OK;
+}
+
 // A photograph that both layouts have.
 struct pair {
     const struct rn_frame *own, *other;

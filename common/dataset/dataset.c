@@ -229,6 +229,7 @@ static enum rn_status read_format(struct rn_reader *reader, const struct rn_form
     enum rn_status status = format->read(reader, err);
     rn_reader_tell_missing(reader);
     const char *masks = reader->options ? reader->options->masks : NULL;
+    if (status == RN_OK) status = rn_reader_leave_out_shared(reader, err);
     if (status == RN_OK) status = rn_reader_find_masks(reader, masks, err);
     if (status == RN_OK)
         status = rn_dataset_seal(reader->dataset, reader->folder, reader->problems, err);

@@ -87,6 +87,9 @@ enum rn_status rn_reader_add(struct rn_reader *reader, struct rn_frame *frame,
 void rn_reader_tell_missing(struct rn_reader *reader);
 // Frames of full size by photograph, malloc'd, NULL where one has none; NULL when memory is out.
 const struct rn_frame **rn_frames_by_photo(const struct rn_dataset *dataset, size_t *ret_count);
+// Leaves out test and validation views of photographs that are trained on too, and tells of them.
+enum rn_status rn_reader_leave_out_shared(struct rn_reader *reader,
+                                          struct rn_error *err) RN_MUST_CHECK;
 // Tells how the points meet the photographs.
 void rn_reader_tell_reprojection(struct rn_reader *reader);
 // Tells how photographs were taken and how they lie, with the evidence.

@@ -337,6 +337,22 @@ def test_counts_within_records(build, tmp_path, offset, name):
     assert code == INVALID and tells(report["problems"], name, ""), report["problems"]
 
 
+def test_views_that_are_trained_on_test_nothing(build, tmp_path):
+    """transforms_test.json names what transforms_train.json does: what it would score is not unseen."""
+    folder = captures.write(BLENDER, captures.make(), tmp_path / "data")
+    train = json.loads((folder / "transforms_train.json").read_text())
+    alone = train["frames"].pop()
+    (folder / "transforms_train.json").write_text(json.dumps(train))
+    (folder / "transforms_val.json").write_text(json.dumps({**train, "frames": [alone]}))
+    (folder / "transforms_test.json").write_text(json.dumps(train))
+    code, report = validate(build, folder)
+    assert code == OK
+    assert report["usable"] == {"train": COUNT - 1, "val": 1, "test": 0}
+    shared = [problem["text"] for problem in report["problems"] if "trained on too" in problem["text"]]
+    assert len(shared) == 1
+    assert f"{COUNT - 1} of {COUNT - 1} test views" in shared[0] and "--split every:8" in shared[0]
+
+
 def test_an_archive_that_is_cut(daemon, tmp_path):
     """Anywhere: in a header, in a file, between files, in the zeros at its end."""
     archive = make_tar(captures.write(STUDIO, captures.make(), tmp_path / "data"))

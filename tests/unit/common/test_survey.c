@@ -245,6 +245,31 @@ START_TEST(duplicates) {
 }
 END_TEST
 
+// Test views that are copies of training views are told; one that shows something else is none.
+START_TEST(tests_of_what_is_learnt_by_heart) {
+    char *tested, name[32], told[96];
+    put_ring();
+    put_photos();
+    ck_assert(asprintf(&tested, "%s]}", document) > 0);
+    for (char *at = tested; (at = strstr(at, "train/"));)
+        memcpy(at, "tests/", 6);
+    put_text("transforms_test.json", tested);
+    free(tested);
+    for (int i = 0; i < VIEWS; i++) {
+        snprintf(name, sizeof name, "train/r_%d.png", i);
+        const char *from = in_folder(name);
+        snprintf(name, sizeof name, "tests/r_%d.png", i);
+        ck_assert_int_eq(link(from, in_folder(name)), 0);
+    }
+    ck_assert_int_eq(remove(in_folder("train/r_3.png")), 0); // of two links
+    put_photo(3, 1, 99);
+    survey();
+    snprintf(told, sizeof told, "%d test views are copies of training views", VIEWS - 1);
+    ck_assert(tells(told));
+    ck_assert(tells("--split every:8"));
+}
+END_TEST
+
 START_TEST(cameras_that_look_away) {
     put_ring();
     char *next;
@@ -396,6 +421,7 @@ int main(void) {
     tcase_add_loop_test(tests, cut_out_on_white, 0, 2);
     tcase_add_loop_test(tests, cameras_that_are_soft, 0, 4);
     tcase_add_loop_test(tests, duplicates, 0, 2);
+    tcase_add_test(tests, tests_of_what_is_learnt_by_heart);
     tcase_add_test(tests, cameras_that_look_away);
     tcase_add_loop_test(tests, heights, 0, 5);
     tcase_add_loop_test(tests, not_looked_at, 0, 2);
