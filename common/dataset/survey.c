@@ -300,17 +300,31 @@ static int compare_brightness(const void *a, const void *b, void *context) {
     return (left > right) - (left < right);
 }
 
-// A test view that shows what a training view does, from the same place, is no test.
-static const struct rn_frame *tested_by_heart(const struct all *all, size_t a, size_t b) {
-    const struct rn_frame *first = all->frames[a], *second = all->frames[b];
-    if (first->split == RN_SPLIT_TEST && second->split == RN_SPLIT_TRAIN) return first;
-    if (second->split == RN_SPLIT_TEST && first->split == RN_SPLIT_TRAIN) return second;
-    return NULL;
+// Which of two that show the same is a test view of what is trained on; SIZE_MAX: none is.
+static size_t tested_by_heart(const struct all *all, size_t a, size_t b) {
+    enum rn_split first = all->frames[a]->split, second = all->frames[b]->split;
+    if (first == RN_SPLIT_TEST && second == RN_SPLIT_TRAIN) return a;
+    if (second == RN_SPLIT_TEST && first == RN_SPLIT_TRAIN) return b;
+    return SIZE_MAX;
+}
+
+static void tell_tests_by_heart(const struct all *all, const bool *by_heart) {
+    struct names names = {.count = 0};
+    for (size_t i = 0; i < all->count; i++)
+        if (by_heart[i]) add_name(&names, all->frames[i]->name);
+    if (names.count)
+        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
+                        "%zu test views are copies of training views: what they score says how "
+                        "well these were learnt by heart, not how good new views are. Without the "
+                        "file that names them --split every:8 withholds photographs to test with: "
+                        "%s",
+                        names.count, names.text);
 }
 
 // Pairs are looked for among photographs of like brightness; without poses `distance` is infinite.
 static void find_duplicates(struct all *all, double distance) {
-    struct names names = {.count = 0}, apart = {.count = 0}, by_heart = {.count = 0};
+    struct names names = {.count = 0}, apart = {.count = 0};
+    bool *by_heart = calloc(all->count + 1, sizeof *by_heart);
     size_t *order = malloc((all->count + 1) * sizeof *order), count = 0;
     for (size_t i = 0; order && i < all->count; i++)
         if (all->looks[i]->seen) order[count++] = i;
@@ -326,20 +340,15 @@ static void find_duplicates(struct all *all, double distance) {
             snprintf(pair, sizeof pair, "%.28s and %.28s", all->frames[a]->name,
                      all->frames[b]->name);
             if (same && difference < SAME) add_name(&names, pair);
-            const struct rn_frame *tested = tested_by_heart(all, a, b);
-            if (same && difference == 0 && tested) add_name(&by_heart, tested->name);
+            size_t tested = same && difference == 0 ? tested_by_heart(all, a, b) : SIZE_MAX;
+            if (by_heart && tested < all->count) by_heart[tested] = true;
             // What is cut out may look the same from all sides.
             if (!same && difference == 0 && !all->frames[a]->has_alpha) add_name(&apart, pair);
         }
     free(order);
     all->found.duplicates = (double)names.count;
-    if (by_heart.count)
-        rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
-                        "%zu test views are copies of training views: what they score says how "
-                        "well these were learnt by heart, not how good new views are. Without the "
-                        "file that names them --split every:8 withholds photographs to test with: "
-                        "%s",
-                        by_heart.count, by_heart.text);
+    if (by_heart) tell_tests_by_heart(all, by_heart);
+    free(by_heart);
     if (names.count)
         rn_problems_add(all->problems, RN_SEVERITY_INFO, all->dataset->name,
                         "%zu pair%s of photographs %s nearly the same%s: %s", names.count,
