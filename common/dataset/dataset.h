@@ -301,7 +301,8 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
 // alpha. Writes the NeRF-synthetic layout: transforms_{train,val,test}.json, PNGs, and the test
 // views' depth as rn_synth_depth's float32 in test/r_N_depth.npy; or, as a `capture`, COLMAP's, of
 // whose photographs every 8th from the first is as a test view, with sparse points that are right.
-// The target is new or empty, else RN_ERROR_CONFLICT; of what fails or is cancelled nothing is left.
+// The target is new or empty, else RN_ERROR_CONFLICT; of what fails or is cancelled nothing is
+// left.
 #define RN_SYNTH_LENS 4
 #define RN_SYNTH_MOVERS 8
 struct rn_synth_options {

@@ -113,9 +113,8 @@ static void put_arms(const struct rn_ladder_report *report, struct rn_buf *out) 
         rn_buf_printf(out, "</tr>\n");
     }
     end_table(out);
-    rn_buf_printf(out,
-                  "<p><small>Means over seeds, the lowest and the highest below them. What an "
-                  "arm gains over the first is counted in pairs of one seed.</small></p>\n");
+    rn_buf_printf(out, "<p><small>Means over seeds, the lowest and the highest below them. What an "
+                       "arm gains over the first is counted in pairs of one seed.</small></p>\n");
 }
 
 static void put_scales(const struct rn_ladder_report *report, struct rn_buf *out) {
