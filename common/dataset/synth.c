@@ -345,7 +345,7 @@ static void take_back(const char *target, bool was_there) {
     char *path;
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         if (asprintf(&path, "%s/%s", target, names[i]) < 0) continue;
-        (void)rn_remove_tree(path, NULL);
+        (void)!rn_remove_tree(path, NULL);
         free(path);
     }
     if (!was_there) (void)rmdir(target);
