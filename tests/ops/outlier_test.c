@@ -251,7 +251,7 @@ END_TEST
 
 // What is looked at is a part of what is trained on, and one turn where that is too little for any.
 START_TEST(short_trainings_have_few_turns) {
-    static const double affords[] = {1, 0.2, 0};
+    static const double affords[] = {1, 0.2, 0.01};
     struct rn_dataset *d = place("short", 40, true);
     struct rn_engine *engine = engine_with(2);
     int turns[3];
