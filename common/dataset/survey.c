@@ -300,9 +300,12 @@ static int compare_brightness(const void *a, const void *b, void *context) {
     return (left > right) - (left < right);
 }
 
-// Which of two that show the same is a test view of what is trained on; SIZE_MAX: none is.
+// Which of two that show the same is a test view of what is trained on; SIZE_MAX: none is, or they
+// are of one grey and show nothing.
 static size_t tested_by_heart(const struct all *all, size_t a, size_t b) {
     enum rn_split first = all->frames[a]->split, second = all->frames[b]->split;
+    const uint8_t *thumb = all->looks[a]->thumb;
+    if (memcmp(thumb, thumb + 1, THUMB * THUMB - 1) == 0) return SIZE_MAX;
     if (first == RN_SPLIT_TEST && second == RN_SPLIT_TRAIN) return a;
     if (second == RN_SPLIT_TEST && first == RN_SPLIT_TRAIN) return b;
     return SIZE_MAX;

@@ -14,13 +14,13 @@ def pose(angle, distance=4.0):
 
 def write_dataset(folder, size=16, train=6, val=8, test=4):
     folder.mkdir(parents=True, exist_ok=True)
-    for split, count in (("train", train), ("val", val), ("test", test)):
+    for green, (split, count) in enumerate((("train", train), ("val", val), ("test", test)), 128):
         frames = []
         (folder / split).mkdir(exist_ok=True)
         for i in range(count):
             image = Image.new("RGBA", (size, size))  # what it shows lies in the layout's sphere
             rim = size // 8
-            image.paste((40 * i % 256, 128, 200, 255), (rim, rim, size - rim, size - rim))
+            image.paste((40 * i % 256, green, 200, 255), (rim, rim, size - rim, size - rim))
             image.save(folder / split / f"r_{i}.png")
             frames.append({"file_path": f"./{split}/r_{i}",
                            "transform_matrix": pose(2 * math.pi * i / count)})
