@@ -15,7 +15,9 @@ class Daemon:
 
     def __init__(self, program, folder, log, *options):
         self.log = open(log, "a", encoding="utf-8")
-        self.process = subprocess.Popen([program, "--data", folder, "--listen", "127.0.0.1:0", *options],
+        # A stage has its own limit, and a step of the emulator may take minutes on a busy machine.
+        patient = ("--runner-timeout", "1h")
+        self.process = subprocess.Popen([program, "--data", folder, "--listen", "127.0.0.1:0", *patient, *options],
                                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self.log, text=True)
         found = re.search(r"http://127\.0\.0\.1:\d+", self.process.stdout.readline())
         self.url = found.group(0) if found else ""
