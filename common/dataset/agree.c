@@ -151,9 +151,11 @@ void rn_reader_tell_reprojection(struct rn_reader *reader) {
 
 // ---- two layouts of one folder ----
 
+// Of the same photograph those that are trained on first.
 static int compare_paths(const void *a, const void *b) {
     const struct rn_frame *const *left = a, *const *right = b;
-    return strcmp((*left)->path, (*right)->path);
+    int order = strcmp((*left)->path, (*right)->path);
+    return order ? order : (int)(*left)->split - (int)(*right)->split;
 }
 
 static const struct rn_frame **frames_by_path(const struct rn_dataset *dataset) {
@@ -163,13 +165,6 @@ static const struct rn_frame **frames_by_path(const struct rn_dataset *dataset) 
     if (frames && dataset->frame_count)
         qsort(frames, dataset->frame_count, sizeof *frames, compare_paths);
     return frames;
-}
-
-// Those that are trained on first.
-static int compare_shared(const void *a, const void *b) {
-    const struct rn_frame *const *left = a, *const *right = b;
-    int order = compare_paths(a, b);
-    return order ? order : (int)(*left)->split - (int)(*right)->split;
 }
 
 enum rn_status rn_reader_leave_out_shared(struct rn_reader *reader, struct rn_error *err) {
@@ -182,7 +177,6 @@ enum rn_status rn_reader_leave_out_shared(struct rn_reader *reader, struct rn_er
         free(shared);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
     }
-    qsort(frames, dataset->frame_count, sizeof *frames, compare_shared);
     for (size_t i = 0; i < dataset->frame_count; i++) {
         if (frames[i]->split == RN_SPLIT_TRAIN)
             trained_on = frames[i];

@@ -9,6 +9,14 @@
 #include "tests/ops/train_scene.h"
 #include "tests/support/suite.h"
 
+static struct rn_train_config config_of_place(void) {
+    struct rn_train_config config = config_for(dataset);
+    config.auto_effects = false;
+    config.field.space = RN_SPACE_UNBOUNDED;
+    config.cone_step = false;
+    return config;
+}
+
 // The cell of a point that lies `share` of the way from a frame's camera to the bounds' centre.
 static float begins_at(const struct rn_trainer *t, const struct rn_camera *camera, double share) {
     int cells = t->field->config.field.occupancy, at[3];
@@ -27,10 +35,7 @@ static float begins_at(const struct rn_trainer *t, const struct rn_camera *camer
 // Of unbounded space, what several photographs' sight lines of one sparse point cross begins empty;
 // not the point itself, nor what one line alone crosses.
 START_TEST(what_points_are_seen_through_begins_empty) {
-    struct rn_train_config config = config_for(dataset);
-    config.auto_effects = false;
-    config.field.space = RN_SPACE_UNBOUNDED;
-    config.cone_step = false;
+    struct rn_train_config config = config_of_place();
     struct rn_engine *engine = engine_with(1);
     dataset->points = (struct rn_points){.items = calloc(1, sizeof(struct rn_point)),
                                          .count = 1,
@@ -60,10 +65,7 @@ END_TEST
 // From between two photographs a point that they and a third one saw would be seen as well; of a
 // point that two alone saw, nothing is known.
 START_TEST(what_neighbours_see_through_begins_empty) {
-    struct rn_train_config config = config_for(dataset);
-    config.auto_effects = false;
-    config.field.space = RN_SPACE_UNBOUNDED;
-    config.cone_step = false;
+    struct rn_train_config config = config_of_place();
     for (size_t seen = 2; seen <= 3; seen++) {
         struct rn_engine *engine = engine_with(1);
         struct rn_dataset as = *dataset;
@@ -101,10 +103,7 @@ END_TEST
 // near as 0.7 of that to the way from one camera to the other; of fewer points, nothing is known.
 START_TEST(what_lies_by_cameras_begins_empty) {
     enum { POINTS = 20 };
-    struct rn_train_config config = config_for(dataset);
-    config.auto_effects = false;
-    config.field.space = RN_SPACE_UNBOUNDED;
-    config.cone_step = false;
+    struct rn_train_config config = config_of_place();
     for (int known = 0; known < 2; known++) {
         struct rn_engine *engine = engine_with(1);
         struct rn_dataset as = *dataset;
@@ -150,7 +149,7 @@ END_TEST
 // mid-air.
 START_TEST(what_photographs_see_through_begins_empty) {
     enum { SIDE = 3, WALL = SIDE * SIDE, MOST = 6 };
-    struct rn_train_config config = config_for(dataset);
+    struct rn_train_config config = config_of_place();
     struct rn_error err;
     char path[128];
     const struct rn_camera *seen_by = &dataset->frames[0].camera;
@@ -163,9 +162,6 @@ START_TEST(what_photographs_see_through_begins_empty) {
     snprintf(path, sizeof path, "%s/grey.png", folder);
     ck_assert(rn_image_write_png(&grey, path, 4, &err) == RN_OK);
     free(grey.pixels);
-    config.auto_effects = false;
-    config.field.space = RN_SPACE_UNBOUNDED;
-    config.cone_step = false;
     double spacing = 0.7 * 5 * seen_by->cx / seen_by->fx;
     for (uint32_t photos = 2; photos <= MOST; photos++) {
         struct rn_engine *engine = engine_with(1);

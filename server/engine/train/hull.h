@@ -23,8 +23,9 @@ void rn_trainer_carve_unseen(struct rn_trainer *trainer);     // cells of unboun
 bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again
 
 // sighted.c: cells of unbounded space that photographs saw through to sparse points, or would have
-// seen through from between two of them, begin empty. Of some 50,000 sightings at most; without
-// points nothing changes.
+// seen through from between two of them, begin empty, and so do those that several see through
+// between their points (sheets.h). Of some 50,000 sightings at most; without points nothing
+// changes.
 void rn_trainer_carve_sighted(struct rn_trainer *trainer);
 
 // seen.c: where the space is a forward-facing one, begins to note what cells show; and the round

@@ -129,26 +129,30 @@ static struct around look_around(const struct tiles *tiles, int x, int y,
     return around;
 }
 
+static double weight_of(const struct rn_sheet_point *point) {
+    return 1 / (1 + (double)(point->x * point->x + point->y * point->y));
+}
+
 // The depth in a tile's middle of the plane that fits the points about it, nearer ones weighing
 // more: a plane's inverse depths are linear over a picture. NAN where they lie on none.
 static double plane_depth(const struct around *around) {
     double sum = 0, mean[3] = {0}, xx = 0, xy = 0, yy = 0, xz = 0, yz = 0;
-    for (int pass = 0; pass < 2; pass++) {
-        for (int i = 0; i < around->count; i++) {
-            const struct rn_sheet_point *p = &around->points[i];
-            double weight = 1 / (1 + (double)(p->x * p->x + p->y * p->y));
-            double x = (double)p->x, y = (double)p->y, z = 1 / (double)p->depth;
-            if (pass == 0) {
-                sum += weight;
-                mean[0] += weight * x, mean[1] += weight * y, mean[2] += weight * z;
-                continue;
-            }
-            x -= mean[0], y -= mean[1], z -= mean[2];
-            xx += weight * x * x, xy += weight * x * y, yy += weight * y * y;
-            xz += weight * x * z, yz += weight * y * z;
-        }
-        for (int k = 0; k < 3 && pass == 0; k++)
-            mean[k] /= sum;
+    for (int i = 0; i < around->count; i++) {
+        const struct rn_sheet_point *p = &around->points[i];
+        double weight = weight_of(p);
+        sum += weight;
+        mean[0] += weight * (double)p->x;
+        mean[1] += weight * (double)p->y;
+        mean[2] += weight * (1 / (double)p->depth);
+    }
+    for (int k = 0; k < 3; k++)
+        mean[k] /= sum;
+    for (int i = 0; i < around->count; i++) {
+        const struct rn_sheet_point *p = &around->points[i];
+        double weight = weight_of(p), x = (double)p->x - mean[0], y = (double)p->y - mean[1],
+               z = 1 / (double)p->depth - mean[2];
+        xx += weight * x * x, xy += weight * x * y, yy += weight * y * y;
+        xz += weight * x * z, yz += weight * y * z;
     }
     double determinant = xx * yy - xy * xy;
     if (!(determinant > 1e-9 * xx * yy)) return NAN; // all on a line
