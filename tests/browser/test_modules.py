@@ -251,6 +251,21 @@ def test_a_depth_says_how_near_and_far_it_is(blank):
         [2, "1.2 5 dataset units", "1.25 dataset units · black: none",
          "Colours: bright 1.2, dark 5 dataset units, black where nothing is"],
         [2, "", None, None], [2, "", None, None]]
+    assert blank.run("return (await load('outputs.js')).legend('0 1 levels', 'level').textContent;") == (
+        "01 level · black: 0")
+
+
+@pytest.mark.parametrize("low", [0.2, 13.0, 29.1])
+def test_accuracy_has_a_scale_however_far_it_reaches(blank, low):
+    marks = blank.run(
+        """
+        const {drawCost} = await load('views/curve.js');
+        const host = document.body.appendChild(document.createElement('div'));
+        const points = args[0].map((psnr, i) => ({psnr, ms_median: 1 + 99 * i, setting: {}}));
+        drawCost(host, points, {});
+        return [...host.querySelectorAll('.grid + text')].map((mark) => Number(mark.textContent));""",
+        [low, 28.7 if low < 20 else 31.2])
+    assert len(marks) >= 3 and marks == sorted(set(marks))
 
 
 def test_the_beginning_of_a_photograph_says_its_size_and_its_camera(blank):

@@ -2,8 +2,10 @@
 pictures of an exact size."""
 
 import math
+import threading
 
 import pytest
+from support.waiting import PATIENCE_S
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 
@@ -107,6 +109,20 @@ def test_keys_of_a_path_all_around_show_all_around(scene):
     assert scene.complaints() == []
 
 
+def test_a_photograph_s_difference_waits_for_what_it_is_compared_with(page, fake):
+    """The view beside it has no lens, and may still be coarse: 3.02 dB were told of one that was not there."""
+    api = fake("busy")
+    rendered = threading.Event()
+    api.world.on_render = lambda body: body.get("lens") != "as-taken" or rendered.wait(PATIENCE_S)
+    page.open(api.url + "#/scene/sphere-draft?view=test:3")
+    page.says("Photograph test:3", ".wipe-bar label")
+    page.run("const s = document.querySelector('.wipe-bar select'); s.value = 'error';"
+             "s.dispatchEvent(new Event('change'));")
+    page.says("rendering it as it was taken", ".wipe-bar label")
+    rendered.set()
+    page.says("· equal", ".wipe-bar label")
+
+
 def test_a_photograph_s_difference_is_shown_and_taken_back(page, fake):
     api = fake("busy")
     asked = []
@@ -129,7 +145,7 @@ def test_a_photograph_s_difference_is_shown_and_taken_back(page, fake):
     page.until(lambda: "· equal" in page.all(".wipe-bar label")[0].text, "what lies between")
     assert page.run("return document.querySelector('.wipe img').src;") != before
     page.driver.execute_script(choose, "signed")
-    page.until(lambda: page.run(colours)[0][0] == "darker −64+64 of 255 lighter", "the scale of the signs")
+    page.until(lambda: page.run(colours)[0][0] == "rendered darker −64+64 of 255 lighter", "the scale of the signs")
     page.driver.execute_script(choose, "")
     page.until(lambda: page.run(colours) == [], "no scale")
     page.until(lambda: "equal" not in page.all(".wipe-bar label")[0].text, "the photograph again")

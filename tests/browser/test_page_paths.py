@@ -121,6 +121,41 @@ def test_a_key_is_dragged_along_the_timeline_and_stops_at_its_neighbours(scene):
     assert scene.path()["keys"][1]["time"] < far[1]
 
 
+def times(page):
+    return [key["time"] for key in page.path()["keys"]]
+
+
+def test_the_last_key_is_dragged_by_as_much_as_the_pointer_goes(scene):
+    """It is the end of the scale, which moved under the pointer: a path fell to nothing, and grew no more."""
+    choose(scene, "arc")
+    scene.until(lambda: len(scene.all(".mark")) == 5, "five marks")
+    mark = scene.all(".mark")[4]
+    scene.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", mark)
+    width = scene.run("return document.querySelector('.track').clientWidth;")
+    for pixels in (-20, 30):
+        before = times(scene)[4]
+        chain = ActionChains(scene.driver).click_and_hold(mark)
+        for _ in range(5):
+            chain = chain.move_by_offset(pixels // 5, 0)
+        chain.release().perform()
+        assert times(scene)[4] - before == pytest.approx(pixels * before / width, abs=0.02)
+        scene.says(f"{times(scene)[4]:.2f} s", ".clock")
+    assert times(scene)[:4] == [0, 1, 2, 3]
+
+
+def test_a_path_is_made_as_long_as_is_asked(scene):
+    assert not scene.field("Length").is_enabled()
+    scene.press("Whole turn")
+    scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
+    assert scene.field("Length").get_attribute("value") == "6"
+    scene.type(scene.field("Length"), "12")
+    assert times(scene) == pytest.approx([1.5 * i for i in range(8)])  # a round, closed after the last key
+    scene.says("288 frames")
+    scene.press("Undo")
+    scene.until(lambda: times(scene)[-1] == pytest.approx(5.25), "what it was")
+    assert scene.field("Length").get_attribute("value") == "6"
+
+
 def test_a_key_in_numbers(scene):
     scene.find(".stage").send_keys("k")
     scene.until(lambda: len(scene.all(".key")) == 1, "a key")
@@ -388,7 +423,7 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
     scene.type(scene.field("Frames"), 2)
     scene.driver.execute_script(
         "const s = [...document.querySelectorAll('select')].find((e) => e.querySelector('option[value=av1]'));"
-        "s.value = 'gif'; s.dispatchEvent(new Event('change'));")
+        "s.value = 'gif'; s.dispatchEvent(new Event('change', {bubbles: true}));")
     scene.type(scene.field("Film quality"), 40)
     scene.press("Render the path")
     scene.until(lambda: scene.all("img.film"), "the film")
@@ -396,6 +431,12 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
     assert scene.api.world.jobs[0]["options"]["video_quality"] == 40
     scene.press("Save film")
     downloads.saved(scene, "sphere-draft*.gif")
+    film, frame = scene.run("return args.map((css) => document.querySelector(css).clientWidth);", "img.film", ".frame")
+    assert film == frame  # as large as the frames, however small it is
+    scene.open(scene.api.url + "#/scene/sphere-draft")
+    scene.until(lambda: scene.ink() > 100, "a picture")
+    assert scene.field("Made into").get_attribute("value") == "gif"  # as it was chosen
+    assert scene.field("Film quality").get_attribute("value") == "40"
     assert scene.complaints() == []
 
 

@@ -52,6 +52,34 @@ def test_several_trainings_are_drawn_over_each_other(page, fake):
     assert page.complaints() == []
 
 
+def test_trainings_that_cannot_be_drawn_over_each_other_say_so(page, fake):
+    """One with a single figure is a mark; of one no figures are kept; a fifth has no colour."""
+    api = fake("busy")
+    with api.world.lock:
+        for i in range(5):
+            job = api.world.train({"dataset": "sphere", "scene": f"other-{i}", "options": {"max_time_s": 4}})
+            api.world.set_state(job, "running")
+            while job["state"] == "running":
+                api.world.advance(job, 0.1)
+            figures = [e for e in api.world.events if (e[1], e[2]) == (job["id"], "metric") and e[3]["psnr"]]
+            for event in figures[i if i < 2 else len(figures):]:
+                api.world.events.remove(event)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Beside other trainings")
+    labels = page.until(lambda: len(found := page.all(".rivals label")) == 5 and found, "five names")
+    box = {label.text: label for label in labels}
+    box["other-1"].click()
+    page.until(lambda: page.run("const e = document.querySelector('.chart-box circle.other-0');"
+                                "return e && getComputedStyle(e).fill === getComputedStyle("
+                                "document.querySelector('.rivals .swatch.other-0')).backgroundColor;"), "its mark")
+    box["other-0"].click()
+    page.says("Of other-0 no figures are kept", "#toasts")
+    for name in ("other-2", "other-3", "other-4"):
+        box[name].click()
+    page.says("4 others fit on the chart", "#toasts")
+    assert [e.is_selected() for e in page.all(".rivals input")].count(True) == 4
+
+
 def test_a_ready_scene_is_trained_again_with_its_settings(page, fake):
     api = fake("busy")
     with api.world.lock:
@@ -103,6 +131,22 @@ def test_a_photograph_is_enlarged(page, fake):
     dialog.send_keys(Keys.ESCAPE)
     page.until(lambda: not page.all(".enlarged"), "the page alone")
     assert page.run("return document.activeElement.className;") == "photo"
+
+
+def test_a_small_photograph_fills_a_phone_and_is_cut_out_on_white(page, fake):
+    """In a dark page, too: what is dark in it was lost in what is behind it."""
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True})
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {
+        "features": [{"name": "prefers-color-scheme", "value": "dark"}]})
+    page.open(fake("busy").url + "#/dataset/sphere")
+    behind = "return getComputedStyle(document.querySelector(args[0])).backgroundColor;"
+    page.find(".photo .thumb[data-state=ready]")
+    page.all(".photo")[0].click()
+    page.find(".enlarged-frame[data-state=ready]")
+    for css in (".photo .thumb[data-state=ready] img", ".enlarged img"):
+        assert page.run(behind, css) == "rgb(255, 255, 255)"
+    assert page.run("return document.querySelector('.enlarged img').getBoundingClientRect().width;") > 300
     assert page.complaints() == []
 
 

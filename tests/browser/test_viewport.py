@@ -222,5 +222,10 @@ def test_on_a_phone_nothing_is_cut_off(page, fake, width):
     page.press("Whole turn")
     page.says("30.5 dB", ".qualities")
     assert page.run(CUT_OFF) == []
+    label, close, lane = page.run(
+        "return args.map((css) => document.querySelector(css).getBoundingClientRect().toJSON());",
+        ".wipe-bar label", ".wipe-bar [aria-label='Close the comparison']", ".lane")
+    assert close["top"] < label["bottom"] and close["left"] >= label["right"] - 1  # no line of its own
+    assert lane["width"] > 200  # eight keys stand apart
     page.press("×")
     page.until(lambda: not page.all(".wipe:not([hidden])"), "the comparison closed")

@@ -99,10 +99,12 @@ export function drawChart(host, points, {limitX, running, now, past, size, other
           {class: 'now', x1: X(now), x2: X(now), y1: MARGIN.top, y2: height - MARGIN.bottom}));
   const lineOf = (some) =>
       some.map((p, i) => `${i ? 'L' : 'M'}${X(p.x).toFixed(1)},${Y(p.y).toFixed(1)}`).join('');
-  others.forEach(
-      (other, i) => root.append(
-          s('path', {class: `line other other-${i}`, d: lineOf(other.points)},
-            s('title', null, other.name))));
+  others.forEach((other, i) => {
+    const [title, end] = [s('title', null, other.name), other.points.at(-1)];
+    root.append(
+        s('path', {class: `line other other-${i}`, d: lineOf(other.points)}, title),
+        s('circle', {class: `end other-${i}`, cx: X(end.x), cy: Y(end.y), r: 3}, title.cloneNode(true)));
+  });
   if (points.length) {
     root.append(s('path', {class: 'line', d: lineOf(points)}));
     if (points.length < 80)

@@ -24,7 +24,8 @@ export const colourScale = (colours, low, high, label) =>
 export function legend(scale, output) {
   const [low, most, ...unit] = scale.split(' ');
   if (!most) return null;
-  const high = `${most} ${unit.join(' ')}`;
+  const words = unit.join(' ');
+  const high = `${most} ${most === '1' ? words.replace(/s$/, '') : words}`;
   return output === 'depth' ?
       colourScale(
           'depth-bar', low, `${high} · black: none`,

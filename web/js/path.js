@@ -104,6 +104,14 @@ export function duration(path) {
   return path.loop ? span + span / (keys.length - 1) : span;
 }
 
+/** The same keys, two at least, so that one round takes `seconds`. */
+export function stretch(path, seconds) {
+  const factor = seconds / duration(path);
+  const start = path.keys[0].time;
+  const keys = path.keys.map((key) => ({...key, time: start + factor * (key.time - start)}));
+  return {...path, keys};
+}
+
 export const frameCount = (path) => {
   const frames = Math.floor(duration(path) * path.fps + 1e-9);
   return path.loop && path.keys.length > 1 ? Math.max(1, frames) : frames + 1;

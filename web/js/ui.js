@@ -111,6 +111,9 @@ export function choice(label, options, value, {pointer, hint} = {}) {
         note);
   const control = {
     get value() { return inputs.find((input) => input.checked)?.value ?? ''; },
+    set value(key) {
+      for (const input of inputs) input.checked = input.value === key;
+    },
     onChange: (listener) => node.addEventListener('change', listener),
   };
   return {node, control, pointer, fault: (why) => setFault(node, null, note, why, hint)};

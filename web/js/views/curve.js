@@ -41,7 +41,7 @@ export function drawCost(host, points, {budget, spent, truth, size}) {
     'aria-label': `PSNR from ${decibel(values[0])} in ${milliseconds(times[0])} to ${
         decibel(values.at(-1))} in ${milliseconds(times.at(-1))}`
   });
-  for (const db of ticks(low, high, 3))
+  for (const db of ticks(low, high, 4))
     root.append(
         s('line', {class: 'grid', x1: MARGIN.left, x2: width - MARGIN.right, y1: Y(db), y2: Y(db)}),
         s('text', {x: MARGIN.left - 7, y: Y(db) + 4, 'text-anchor': 'end'}, db));
@@ -101,7 +101,7 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
         !curve ? 'Not measured for this scene yet; until then its preset’s curve decides.' :
             `${plural(curve.views, 'view')} of ${curve.width} × ${curve.height}, ${
                 curve.photographs ? 'against photographs' : 'against the full picture'}, ${
-                curve.kernels}${curve.stale ? `; older than the scene: ${curve.stale_because ?? ''}` : ''}.`);
+                curve.kernels}${curve.stale ? `; measured before ${curve.stale_because || 'something'} changed` : ''}.`);
     chart.hidden = !curve;
     if (curve)
       drawCost(chart, curve.points, {

@@ -18,6 +18,7 @@ import {
   problemOf,
   removeKey,
   shiftKey,
+  stretch,
   throughCameras
 } from '../path.js';
 import {fill, follow, h, saveBlob, showBlob, text} from '../dom.js';
@@ -60,7 +61,9 @@ export function createKeys(scene, size, view, signal) {
   const kept = h('p', {class: 'quiet kept'});
   const problem = h('div');
   const store = createPathStore(scene, (said) => text(kept, said), signal);
-  const form = optionsForm(path, (values) => {
+  const form = optionsForm(path, `ripnerf-made-${scene.id}`, ({seconds: whole, ...values}) => {
+    if (whole > 0 && duration(path)) set(stretch(path, whole), 'seconds');
+    if (whole !== undefined) return;
     const keys = 'lens' in values ? path.keys.map((key) => ({...key, picture: undefined})) : path.keys;
     set({...path, keys, ...values}, Object.keys(values)[0]);
     pictures();
@@ -152,6 +155,7 @@ export function createKeys(scene, size, view, signal) {
     redo.disabled = !history.canRedo();
     clear.disabled = !path.keys.length;
     timeline.update();
+    form.tell(path);
     quality.update(path, view.msPerPixel());
     const index = path.keys.findIndex((key) => key.id === selected);
     numbers.show(path.keys[index] ?? null, index + 1);
@@ -368,11 +372,15 @@ export function createKeys(scene, size, view, signal) {
   };
 }
 
-function restore(storeKey) {
+function readJson(key) {
   try {
-    const kept = JSON.parse(sessionStorage.getItem(storeKey));
-    return kept && {tension: 0, constantSpeed: false, lens: 'pinhole', ...kept};
+    return JSON.parse(sessionStorage.getItem(key));
   } catch { return null; }
+}
+
+function restore(storeKey) {
+  const kept = readJson(storeKey);
+  return kept && {tension: 0, constantSpeed: false, lens: 'pinhole', ...kept};
 }
 
 function keyRow(first, host) {
@@ -462,8 +470,11 @@ function keyRow(first, host) {
   return {node, update, remove: () => gone.abort()};
 }
 
-/** Frames per second, size, interpolation, loop, output. */
-function optionsForm(path, change) {
+/**
+ * Frames per second, size, length, interpolation, loop, output; what is made of them is kept under
+ * `madeKey`, as the path is.
+ */
+function optionsForm(path, madeKey, change) {
   const number = (label, key, props, unit, pointer) => {
     const item = field(
         label,
@@ -475,6 +486,7 @@ function optionsForm(path, change) {
   const width = number('Width', 'width', {min: 1, max: 16384}, 'px', '/camera_path/width');
   const height = number('Height', 'height', {min: 1, max: 16384}, 'px', '/camera_path/height');
   const fps = number('Frames', 'fps', {min: 1, max: 1000, step: 'any'}, '/s', '/camera_path/fps');
+  const length = number('Length', 'seconds', {min: 0, step: 'any'}, 's');
   const interpolation = choice(
       'Between keys', [['spline', 'smooth'], ['linear', 'straight'], ['circle', 'round']],
       path.interpolation, {pointer: '/camera_path/interpolation'});
@@ -523,7 +535,15 @@ function optionsForm(path, change) {
     jpegQuality.node.hidden = film.control.value !== 'jpeg';
     output.node.hidden = film.control.value === 'exr';
   };
-  film.control.addEventListener('change', showMade);
+  const made = {film, quality, jpegQuality, output};
+  for (const [name, value] of Object.entries(readJson(madeKey) ?? {}))
+    if (made[name]) made[name].control.value = value;
+  for (const {node} of Object.values(made))
+    node.addEventListener('change', () => {
+      showMade();
+      const values = Object.entries(made).map(([name, {control}]) => [name, control.value]);
+      sessionStorage.setItem(madeKey, JSON.stringify(Object.fromEntries(values)));
+    });
   showMade();
   const madeOptions = () => {
     const made = film.control.value;
@@ -556,8 +576,14 @@ function optionsForm(path, change) {
       ...madeOptions()
     }),
     show,
+    /** After a change of the keys. */
+    tell: (now) => {
+      length.control.disabled = now.keys.length < 2;
+      if (document.activeElement !== length.control)
+        length.control.value = Number(duration(now).toFixed(3));
+    },
     node:
-        h('div', {class: 'path-options'}, width.node, height.node, fps.node, interpolation.node,
+        h('div', {class: 'path-options'}, width.node, height.node, fps.node, length.node, interpolation.node,
           tension.node, lens.node, output.node, film.node, quality.node, jpegQuality.node,
           h('div', {class: 'field check'}, loop, h('label', {'for': 'path-loop'}, 'Loop')),
           h('div', {class: 'field check'}, steady,

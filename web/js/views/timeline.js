@@ -35,19 +35,21 @@ export function createTimeline(host) {
   function mark(first) {
     const button = h('button', {type: 'button', class: 'mark'}, h('span', {'aria-hidden': 'true'}));
     let dragged = false;
-    const timeAt = (event) => {
-      const box = track.getBoundingClientRect();
-      return start() + Math.max(0, Math.min(1, (event.clientX - box.left) / box.width)) * whole();
-    };
+    let held = null;  // the time and the scale where a drag began: a key at an end moves both
+    const timeAt = (event) =>
+        held.time + ((event.clientX - held.x) / track.getBoundingClientRect().width) * held.whole;
     button.addEventListener('pointerdown', (event) => {
       button.setPointerCapture(event.pointerId);
       dragged = false;
+      const {time} = host.path().keys.find((item) => item.id === first.id);
+      held = {time, x: event.clientX, whole: whole()};
     });
     button.addEventListener('pointermove', (event) => {
       if (!button.hasPointerCapture(event.pointerId)) return;
       if (!dragged && Math.abs(event.movementX) < 1) return;
       dragged = true;
       host.shift(first.id, timeAt(event));
+      text(at, clock(host.path().keys.find((item) => item.id === first.id).time - start()));
     });
     button.addEventListener('click', () => dragged || host.show(first.id));
     button.addEventListener('keydown', (event) => {

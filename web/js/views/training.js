@@ -13,7 +13,8 @@ import {
   panel,
   progressWords,
   recordedProblem,
-  setChip
+  setChip,
+  toast
 } from '../ui.js';
 import {jobButtons} from './jobs.js';
 import {go, link} from '../router.js';
@@ -220,12 +221,14 @@ function createRivals(sceneId, changed, signal) {
       chosen.delete(other.id);
     } else if (chosen.size === MOST_RIVALS) {
       box.checked = false;
+      toast(`${MOST_RIVALS} others fit on the chart: take one of them off first.`);
       return;
     } else {
       chosen.set(other.id, {name: other.name, points: []});
       const figures = await api.metrics(other.job, signal).catch(() => []);
-      if (chosen.has(other.id))
-        chosen.get(other.id).points = pointsOf(figures);
+      const points = pointsOf(figures);
+      if (chosen.has(other.id)) chosen.get(other.id).points = points;
+      if (!points.length) toast(`Of ${other.name} no figures are kept that could be drawn.`);
     }
     paint();
     changed();

@@ -10,7 +10,7 @@ const MOST_SIDE = 1280;  // of a view that is rendered to be compared, pixels
 // What the colours of a difference stand for (difference.js): full at a quarter of a channel's range.
 const SCALES = {
   signed: () => colourScale(
-      'signed-bar', 'darker −64', '+64 of 255 lighter',
+      'signed-bar', 'rendered darker −64', '+64 of 255 lighter',
       'blue where the rendering is darker, red where it is lighter, white where equal'),
   error: () => colourScale(
       'error-bar', '0', '64 of 255 and more', 'black where equal, over red and yellow to white')
@@ -132,6 +132,7 @@ export function createWipe(scene, canvas, signal) {
   async function compare(told = false) {
     const mine = laid;
     if (!mine) return;
+    if (mine.awaited && kind.value) return text(label, `${mine.words} · rendering it as it was taken…`);
     fill(colours, SCALES[kind.value]?.());
     put(image, mine.blob);
     text(label, mine.words);
@@ -159,8 +160,9 @@ export function createWipe(scene, canvas, signal) {
     if (mine !== serial) return;
     lay(blob, words);
     const shown = laid;
+    shown.awaited = true;  // the picture beside it has no lens, and may be coarse or of another view
     const rendered = await renderedAs(item);
-    if (rendered && shown === laid) lay(blob, words, false, rendered);
+    if (shown === laid) lay(blob, words, false, rendered);
   }
   signal.addEventListener('abort', hide, {once: true});
   return {node, show, lay, hide};
