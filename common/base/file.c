@@ -293,6 +293,14 @@ enum rn_status rn_remove_tree(const char *path, struct rn_error *err) {
     return remove_at(AT_FDCWD, path, path, 0, err);
 }
 
+enum rn_status rn_folder_empty(const char *path, struct rn_error *err) {
+    DIR *dir = opendir(path);
+    if (!dir) return rn_error_from_errno(err, errno, path, "open the folder");
+    enum rn_status status = remove_entries(dir, path, 0, err);
+    closedir(dir);
+    return status;
+}
+
 bool rn_path_is_safe_name(const char *name) {
     size_t size = strlen(name);
     if (size == 0 || size > MAX_NAME_BYTES || name[0] == '.') return false;

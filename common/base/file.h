@@ -46,6 +46,9 @@ enum rn_status rn_folder_flush(const char *path, struct rn_error *err) RN_MUST_C
 // path is no error. RN_ERROR_LIMIT for folders nested more than 64 deep.
 enum rn_status rn_remove_tree(const char *path, struct rn_error *err) RN_MUST_CHECK;
 
+// Removes as rn_remove_tree all that a folder holds; the folder itself is there all the time.
+enum rn_status rn_folder_empty(const char *path, struct rn_error *err) RN_MUST_CHECK;
+
 // Whether `name` may become one component of a path: 1..200 bytes of valid UTF-8, no '/', no
 // control character, no leading '.'.
 bool rn_path_is_safe_name(const char *name);

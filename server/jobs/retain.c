@@ -31,8 +31,7 @@ static void remove_pictures(struct rn_control *control, struct rn_job_row *row, 
     enum rn_status status = folder == NULL
                                 ? rn_error_set(&err, RN_ERROR_NO_MEMORY, row->id, "no memory")
                                 : rn_store_update(control->store, &rn_jobs_table, row, &err);
-    if (status == RN_OK) status = rn_remove_tree(folder, &err);
-    if (status == RN_OK) status = rn_mkdirs(folder, 0700, &err);
+    if (status == RN_OK) status = rn_folder_empty(folder, &err); // a request may look at any time
     if (status == RN_OK)
         rn_log(RN_LOG_INFO, "the pictures of job %s are removed, %lld bytes: %s", row->id,
                (long long)bytes, why);

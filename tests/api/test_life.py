@@ -286,7 +286,8 @@ def frames_of(daemon, job):
 
 
 def test_retention_by_age(make_daemon, photographs):
-    """Frames go after their time, linked ones and all else stay; it is said in the log."""
+    """Frames go after their time, linked ones and all else stay; it is said in the log. Their folder, in
+    which a request may look meanwhile, is there all the time: it is the same one."""
     daemon = make_daemon()
     assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
     daemon.train("ready")
@@ -294,9 +295,13 @@ def test_retention_by_age(make_daemon, photographs):
     assert daemon.post("/v1/tokens", {"name": "film", "job": linked}).status == 201
     assert frames_of(daemon, gone) == frames_of(daemon, linked) == 3
     daemon.stop()
+    folder = Path(daemon.data) / "jobs" / gone / "frames"
+    before = os.open(folder, os.O_RDONLY)  # nothing else gets its number
     daemon.options["retain_pictures"] = "1s"
     daemon.start()
     wait_for(lambda: frames_of(daemon, gone) == 0)
+    assert os.path.samestat(os.fstat(before), folder.stat()) and not list(folder.iterdir())
+    os.close(before)
     assert frames_of(daemon, linked) == 3
     assert daemon.job(gone)["state"] == "succeeded"
     assert f"the pictures of job {gone} are removed" in daemon.log_text()

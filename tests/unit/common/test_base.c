@@ -288,6 +288,25 @@ START_TEST(folders) {
 }
 END_TEST
 
+START_TEST(a_folder_is_emptied) {
+    struct stat before, after;
+    struct rn_error err = {0};
+    ck_assert_int_eq(rn_mkdirs(in_folder("a/b/c"), 0755, NULL), RN_OK);
+    ck_assert_int_eq(rn_file_write_atomic(in_folder("a/b/file"), "x", 1, NULL), RN_OK);
+    ck_assert_int_eq(mkdir(in_folder("kept"), 0755), 0);
+    ck_assert_int_eq(symlink("../../kept", in_folder("a/b/link")), 0);
+    int open_folder = open(in_folder("a/b"), O_RDONLY | O_DIRECTORY); // nothing else gets its number
+    ck_assert(open_folder >= 0 && fstat(open_folder, &before) == 0);
+    ck_assert_int_eq(rn_folder_empty(in_folder("a/b"), NULL), RN_OK);
+    ck_assert_int_eq(stat(in_folder("a/b"), &after), 0);
+    ck_assert(before.st_ino == after.st_ino && close(open_folder) == 0);
+    ck_assert_int_eq(rmdir(in_folder("a/b")), 0); // fails when something is left
+    ck_assert_int_eq(access(in_folder("kept"), F_OK), 0);
+    ck_assert_int_eq(rn_folder_empty(in_folder("a/b"), &err), RN_ERROR_NOT_FOUND);
+    ck_assert_ptr_nonnull(strstr(err.where, "a/b"));
+}
+END_TEST
+
 START_TEST(deep_tree_is_refused) {
     char path[512];
     strcpy(path, in_folder("d"));
@@ -475,6 +494,7 @@ int main(void) {
     tcase_add_test(files, file_write_is_atomic);
     tcase_add_test(files, folders);
     tcase_add_test(files, seal);
+    tcase_add_test(files, a_folder_is_emptied);
     tcase_add_test(files, deep_tree_is_refused);
     suite_add_tcase(suite, plain);
     suite_add_tcase(suite, files);
