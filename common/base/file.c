@@ -218,7 +218,6 @@ enum rn_status rn_folder_flush(const char *path, struct rn_error *err) {
                                    : rn_error_from_errno(err, errno, path, "flush the folder");
 }
 
-// One level of rn_mkdirs.
 static int make_folder(const char *path, mode_t mode) {
     if (mkdir(path, mode) == 0) return fsync_folder_of(path);
     if (errno != EEXIST) return -1;
@@ -228,7 +227,15 @@ static int make_folder(const char *path, mode_t mode) {
     return S_ISDIR(info.st_mode) ? 0 : -1;
 }
 
-enum rn_status rn_mkdirs(const char *path, mode_t mode, struct rn_error *err) {
+enum rn_status rn_mkdir(const char *path, mode_t mode, struct rn_error *err) {
+    return make_folder(path, mode) == 0
+               ? RN_OK
+               : rn_error_from_errno(err, errno, path, "create the folder");
+}
+
+// The first `there` bytes of `path` are not made.
+static enum rn_status make_folders(const char *path, size_t there, mode_t mode,
+                                   struct rn_error *err) {
     char partial[PATH_MAX];
     size_t length = strlen(path);
     while (length > 1 && path[length - 1] == '/')
@@ -237,15 +244,24 @@ enum rn_status rn_mkdirs(const char *path, mode_t mode, struct rn_error *err) {
         return rn_error_from_errno(err, length ? ENAMETOOLONG : ENOENT, path, "create the folder");
     memcpy(partial, path, length);
     partial[length] = 0;
-    for (size_t i = 1; i <= length; i++) {
+    for (size_t i = there + 1; i <= length; i++) {
         if (partial[i] != '/' && partial[i] != 0) continue;
         char kept = partial[i];
         partial[i] = 0;
-        if (make_folder(partial, mode) < 0)
-            return rn_error_from_errno(err, errno, partial, "create the folder");
+        enum rn_status status = rn_mkdir(partial, mode, err);
+        if (status != RN_OK) return status;
         partial[i] = kept;
     }
     return RN_OK;
+}
+
+enum rn_status rn_mkdirs(const char *path, mode_t mode, struct rn_error *err) {
+    return make_folders(path, 0, mode, err);
+}
+
+enum rn_status rn_mkdirs_in(const char *above, const char *path, mode_t mode,
+                            struct rn_error *err) {
+    return make_folders(path, strlen(above), mode, err);
 }
 
 static enum rn_status remove_at(int folder, const char *name, const char *path, int depth,

@@ -36,6 +36,14 @@ bool rn_write_all(int fd, const void *bytes, size_t size_bytes) RN_MUST_CHECK;
 // Creates a folder and the missing ones above it, durably. An existing folder is no error.
 enum rn_status rn_mkdirs(const char *path, mode_t mode, struct rn_error *err) RN_MUST_CHECK;
 
+// As rn_mkdirs below the folder `above`, with which `path` begins, and which is not made:
+// RN_ERROR_NOT_FOUND where it is missing, as where someone moved it away.
+enum rn_status rn_mkdirs_in(const char *above, const char *path, mode_t mode,
+                            struct rn_error *err) RN_MUST_CHECK;
+
+// As rn_mkdirs, of the last folder of `path` alone.
+enum rn_status rn_mkdir(const char *path, mode_t mode, struct rn_error *err) RN_MUST_CHECK;
+
 // As rename(2), of a file or folder, and durable: the new name is there after a power loss.
 enum rn_status rn_file_rename(const char *from, const char *to, struct rn_error *err) RN_MUST_CHECK;
 

@@ -88,7 +88,7 @@ static enum rn_status unpack_one(struct archive *archive, const char block[BLOCK
     if (length >= (int)sizeof path) return damaged(archive, "a name is too long", err);
     char *slash = strrchr(path, '/');
     *slash = '\0';
-    enum rn_status status = rn_mkdirs(path, 0700, err);
+    enum rn_status status = rn_mkdirs_in(archive->folder, path, 0700, err);
     *slash = '/';
     archive->contents.files++;
     archive->contents.bytes += size;

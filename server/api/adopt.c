@@ -35,7 +35,7 @@ static bool keep_going(void *context) {
 static enum rn_status take_in(struct rn_adoption *adoption, char **ret_json, struct rn_error *err) {
     struct rn_tar_contents contents;
     struct rn_adopted adopted;
-    enum rn_status status = rn_mkdirs(adoption->folder, 0700, err);
+    enum rn_status status = rn_mkdir(adoption->folder, 0700, err);
     if (status == RN_OK)
         status = rn_tar_unpack(adoption->archive, adoption->folder, keep_going, adoption, &contents,
                                err);

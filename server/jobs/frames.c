@@ -37,9 +37,10 @@ static void free_places(struct places *places) {
 enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *task,
                               struct rn_error *err) {
     struct places places;
-    enum rn_status status = find_places(control, task, &places)
-                                ? rn_mkdirs(places.shelf, 0700, err)
-                                : rn_error_set(err, RN_ERROR_NO_MEMORY, "frames", "no memory");
+    enum rn_status status =
+        find_places(control, task, &places)
+            ? rn_mkdirs_in(rn_store_folder(control->store), places.shelf, 0700, err)
+            : rn_error_set(err, RN_ERROR_NO_MEMORY, "frames", "no memory");
     // They may be there already: from an attempt of a daemon that was killed.
     if (status == RN_OK && rename(places.kept, places.lent) != 0 && errno != ENOENT)
         status = rn_error_from_errno(err, errno, places.lent, "lend the frames");

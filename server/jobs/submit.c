@@ -257,7 +257,7 @@ static enum rn_status make_folder(struct rn_control *control, const char *job,
                                   struct rn_error *err) {
     char *path = rn_store_path(control->store, "jobs/%s/frames", job);
     if (path == NULL) return rn_error_set(err, RN_ERROR_NO_MEMORY, "job", "no memory for a job");
-    enum rn_status status = rn_mkdirs(path, 0700, err);
+    enum rn_status status = rn_mkdirs_in(rn_store_folder(control->store), path, 0700, err);
     free(path);
     return status;
 }

@@ -170,9 +170,10 @@ enum rn_status rn_place_invite(struct rn_slurm *slurm, struct rn_place *place,
 enum rn_status rn_place_furnish(struct rn_slurm *slurm, struct rn_place *place,
                                 const char *scene_folder, struct rn_error *err) {
     char *folder = rn_place_path(slurm, place, "");
-    enum rn_status status = folder == NULL ? no_memory(err) : rn_mkdirs(folder, 0700, err);
+    enum rn_status status =
+        folder == NULL ? no_memory(err) : rn_mkdirs_in(slurm->data, folder, 0700, err);
     // The runner may be the first to need it, and makes what is below.
-    if (status == RN_OK) status = rn_mkdirs(scene_folder, 0700, err);
+    if (status == RN_OK) status = rn_mkdir(scene_folder, 0700, err);
     if (status == RN_OK) status = link_scene(slurm, place, scene_folder, err);
     if (status == RN_OK && slurm->cache != NULL) status = make_secret(slurm, place, err);
     if (status == RN_OK) status = write_script(slurm, place, err);

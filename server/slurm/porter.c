@@ -236,7 +236,7 @@ static enum rn_status make_folder(const struct rn_porter *porter, const char *pa
         return rn_error_from_errno(err, errno, porter->scene, "the runner was given up: open");
     snprintf(folder, sizeof folder, "%s", path);
     *strrchr(folder, '/') = '\0';
-    return stat(folder, &about) == 0 ? RN_OK : rn_mkdirs(folder, 0700, err);
+    return stat(folder, &about) == 0 ? RN_OK : rn_mkdirs_in(porter->scene, folder, 0700, err);
 }
 
 static enum rn_status take_piece(struct rn_porter *porter, const struct rn_wire_file *file,

@@ -83,7 +83,7 @@ static enum rn_status copy_record(struct rn_store *store, const struct rn_store_
     enum rn_status status = RN_OK;
     if (sql.failed || folder == NULL || path == NULL)
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, COPY, "no memory");
-    if (status == RN_OK) status = rn_mkdirs(folder, 0700, err);
+    if (status == RN_OK) status = rn_mkdirs_in(store->folder, folder, 0700, err);
     if (status == RN_OK) {
         int code = sqlite3_prepare_v2(store->db, (char *)sql.data, (int)sql.size, &statement, NULL);
         if (code == SQLITE_OK) code = sqlite3_bind_text(statement, 1, id, -1, SQLITE_STATIC);

@@ -350,6 +350,26 @@ def test_data_folder_that_is_moved_underneath(make_daemon, photographs):
     assert daemon.wait(daemon.get("/v1/jobs").json["items"][0]["id"])["state"] == "succeeded"
 
 
+def test_a_running_job_makes_no_data_folder_anew(make_daemon, photographs):
+    """A path that begins on a loaded scene while the folder is away fails; put back, it is as it was."""
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "0"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    data, elsewhere = Path(daemon.data), Path(daemon.data).with_name("elsewhere")
+    daemon.hold()
+    path = {"type": "path", "scene": "ready", "camera_path": big_path("p", 2)["path"]}
+    jobs = [daemon.submit(**path) for _ in range(2)]
+    daemon.eventually(lambda: daemon.job(jobs[0])["state"] == "running")
+    data.rename(elsewhere)
+    daemon.let_go_on()
+    for job in jobs:
+        assert daemon.wait(job)["state"] == "failed"
+    assert not data.exists()
+    elsewhere.rename(data)
+    assert all(daemon.get(f"/v1/jobs/{job}/frames").status == 200 for job in jobs)
+    assert daemon.wait(daemon.submit(**path))["state"] == "succeeded"
+
+
 def test_uploads_have_a_common_limit(make_daemon):
     daemon = make_daemon(header_timeout=600)
     head = (b"POST /v1/datasets?name=%d HTTP/1.1\r\nHost: localhost\r\n"

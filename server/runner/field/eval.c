@@ -76,7 +76,8 @@ static enum rn_status prepare_parts(struct eval_work *eval, struct rn_error *err
     const struct rn_wire_eval *request = &eval->request;
     eval->parts =
         (struct rn_parts){.folder = request->folder, .ending = "json", .begin = RN_ABSENT};
-    enum rn_status status = rn_mkdirs(request->folder, 0777, err);
+    enum rn_status status =
+        rn_mkdirs_in(eval->work.host->place.scene_folder, request->folder, 0777, err);
     if (!status && request->begin != RN_ABSENT)
         status = rn_parts_take(&eval->parts, request->begin, request->end, eval->work.total,
                                &eval->work.total, err);

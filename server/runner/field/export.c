@@ -24,7 +24,7 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct export_work *export = (struct export_work *)work;
     (void)field;
     work->total = 1;
-    return rn_mkdirs(export->request.folder, 0777, err);
+    return rn_mkdirs_in(work->host->place.scene_folder, export->request.folder, 0777, err);
 }
 
 static struct rn_mesh_options mesh_options(const struct rn_export_options *wanted) {

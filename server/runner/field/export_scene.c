@@ -84,7 +84,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct scene_work *export = (struct scene_work *)work;
     enum rn_status status = take_views(export, err);
     if (!status) status = take_forms(export, field, err);
-    if (!status) status = rn_mkdirs(export->request.folder, 0777, err);
+    if (!status)
+        status = rn_mkdirs_in(work->host->place.scene_folder, export->request.folder, 0777, err);
     work->total = (size_t)((1 + export->form_count) * export->views);
     return status;
 }

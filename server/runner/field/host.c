@@ -251,7 +251,7 @@ static enum rn_status enter_scene(struct rn_host *host, struct rn_error *err) {
     const struct rn_wire_open *place = &host->place;
     enum rn_status status = check_version(place, err);
     if (!status && !place->helps) {
-        status = rn_mkdirs(place->scene_folder, 0777, err);
+        status = rn_mkdir(place->scene_folder, 0777, err);
         if (!status) status = rn_lock_scene(place->scene_folder, &host->link, &host->lock_fd, err);
     }
     if (!status) take_lpips(host);

@@ -88,7 +88,7 @@ static enum rn_status write_record(struct rn_host *host, const struct rn_inciden
     snprintf(folder, sizeof folder, "%s/incidents", host->place.scene_folder);
     if (snprintf(path, sizeof path, "%s/%s", host->place.scene_folder, file) >= (int)sizeof path)
         return rn_error_set(err, RN_ERROR_LIMIT, host->place.scene_folder, "the path is too long");
-    enum rn_status status = rn_mkdirs(folder, 0777, err);
+    enum rn_status status = rn_mkdir(folder, 0777, err);
     if (!status && count_files(folder) > FILES_MOST)
         status = rn_error_set(err, RN_ERROR_LIMIT, folder, "is full; remove old records");
     if (status) return status;

@@ -82,7 +82,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     struct path_work *path = (struct path_work *)work;
     const struct rn_path_options *options = &path->request.options;
     struct rn_field_info info;
-    enum rn_status status = rn_mkdirs(path->request.folder, 0777, err);
+    enum rn_status status =
+        rn_mkdirs_in(work->host->place.scene_folder, path->request.folder, 0777, err);
     if (!status && options->film >= 0) status = rn_film_check(err); // before any frame is rendered
     if (!status && frame_format(path) == RN_FORMAT_EXR) status = rn_exr_check(err);
     if (!status) status = rn_optics_of_request(&options->optics, &path->optics, err);

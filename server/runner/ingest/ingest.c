@@ -139,7 +139,7 @@ static enum rn_status find_source(struct ingest *ingest, struct rn_error *err) {
     if (S_ISDIR(about.st_mode)) return RN_OK;
     struct rn_unpack_limits limits = {.max_bytes = (size_t)order->max_bytes,
                                       .max_entries = (size_t)order->max_entries};
-    enum rn_status status = rn_mkdirs(order->work, 0777, err);
+    enum rn_status status = rn_mkdir(order->work, 0777, err);
     if (!status) status = rn_unpack(order->source, order->work, &limits, keep_going, ingest, err);
     ingest->folder = order->work;
     return status ? status : descend(ingest, err);
@@ -171,7 +171,7 @@ static enum rn_status import(struct ingest *ingest, struct rn_dataset *source,
     struct rn_import_options import_options = import_options_of(order);
     struct rn_findings found;
     ingest->began_stage_ns = rn_clock_ns(); // unpacking is over
-    enum rn_status status = rn_mkdirs(order->target, 0777, err);
+    enum rn_status status = rn_mkdir(order->target, 0777, err);
     if (!status) status = rn_survey_create(source, &import_options.survey, err);
     if (!status)
         status = rn_dataset_import(source, order->name, &import_options, order->target, problems,
@@ -225,7 +225,7 @@ static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *prob
                                     .stage = on_stage,
                                     .context = ingest};
     struct rn_read_options options = rn_ingest_reading(&order->options);
-    enum rn_status status = rn_mkdirs(order->work, 0777, err);
+    enum rn_status status = rn_mkdir(order->work, 0777, err);
     if (!status) status = rn_poses_find(&wanted, &ingest->posed, &ingest->photos, err);
     if (status) return status;
     tell_all_as_unpacked(ingest, problems);
@@ -310,7 +310,7 @@ static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
 // The two folders to write are made beforehand.
 static void confine(const struct ingest *ingest) {
     const struct rn_wire_ingest *order = &ingest->order;
-    if (rn_mkdirs(order->target, 0777, NULL) || rn_mkdirs(order->work, 0777, NULL))
+    if (rn_mkdir(order->target, 0777, NULL) || rn_mkdir(order->work, 0777, NULL))
         rn_log(RN_LOG_WARN, "the import's folders cannot be made");
     const struct rn_sandbox_places places = {.paths = {[RN_PLACE_SOURCE] = order->source,
                                                        [RN_PLACE_TARGET] = order->target,

@@ -54,12 +54,13 @@ static enum rn_status damaged(struct unpacking *unpacking, const char *where,
                         text ? text : "unknown error");
 }
 
-static enum rn_status make_folders(const char *path, struct rn_error *err) {
+static enum rn_status make_folders(const struct unpacking *unpacking, const char *path,
+                                   struct rn_error *err) {
     char folder[PATH_MAX];
     snprintf(folder, sizeof folder, "%s", path);
     char *slash = strrchr(folder, '/');
     if (slash) *slash = '\0';
-    return rn_mkdirs(folder, 0777, err);
+    return rn_mkdirs_in(unpacking->target, folder, 0777, err);
 }
 
 static enum rn_status copy_data(struct unpacking *unpacking, int fd, const char *name,
@@ -78,7 +79,7 @@ static enum rn_status copy_data(struct unpacking *unpacking, int fd, const char 
 
 static enum rn_status unpack_file(struct unpacking *unpacking, const char *name, const char *path,
                                   struct rn_error *err) {
-    enum rn_status status = make_folders(path, err);
+    enum rn_status status = make_folders(unpacking, path, err);
     if (status) return status;
     int fd = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
     if (fd < 0 && errno == EEXIST)
@@ -124,7 +125,8 @@ static enum rn_status unpack_entry(struct unpacking *unpacking, struct archive_e
         return rn_error_set(err, RN_ERROR_INVALID, name, "only files and folders are taken");
     if (snprintf(path, sizeof path, "%s/%s", unpacking->target, name) >= (int)sizeof path)
         return rn_error_set(err, RN_ERROR_LIMIT, name, "the path is too long");
-    return type == AE_IFDIR ? rn_mkdirs(path, 0777, err) : unpack_file(unpacking, name, path, err);
+    return type == AE_IFDIR ? rn_mkdirs_in(unpacking->target, path, 0777, err)
+                            : unpack_file(unpacking, name, path, err);
 }
 
 static enum rn_status unpack_all(struct unpacking *unpacking, struct rn_error *err) {

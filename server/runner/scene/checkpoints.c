@@ -77,9 +77,9 @@ static void remove_if_temporary(void *context, const char *name) {
 enum rn_status rn_checkpoints_prepare(const char *scene_folder, struct rn_error *err) {
     char folder[PATH_MAX];
     enum rn_status status = join(scene_folder, "", folder, err);
-    if (!status) status = rn_mkdirs(folder, 0777, err);
+    if (!status) status = rn_mkdir(folder, 0777, err);
     if (!status && snprintf(folder, PATH_MAX, "%s/marks", scene_folder) < PATH_MAX)
-        status = rn_mkdirs(folder, 0777, err);
+        status = rn_mkdir(folder, 0777, err);
     if (status) return status;
     return each_file(scene_folder, remove_if_temporary, (void *)scene_folder, err);
 }

@@ -276,6 +276,19 @@ START_TEST(folders) {
     struct rn_error err = {0};
     ck_assert_int_eq(rn_mkdirs(in_folder("a/b/file/d"), 0755, &err), RN_ERROR_IO);
     ck_assert_ptr_nonnull(strstr(err.where, "a/b/file"));
+    ck_assert_int_eq(rn_mkdir(in_folder("a/b/d"), 0755, NULL), RN_OK);
+    ck_assert_int_eq(rn_mkdir(in_folder("a/b/d"), 0755, NULL), RN_OK);
+    ck_assert_int_eq(rn_mkdir(in_folder("e/f"), 0755, &err), RN_ERROR_NOT_FOUND);
+    ck_assert_ptr_nonnull(strstr(err.where, "e/f"));
+    // What should be there already is not made.
+    char above[256];
+    snprintf(above, sizeof above, "%s", in_folder("a"));
+    ck_assert_int_eq(rn_mkdirs_in(above, in_folder("a/g/h"), 0755, NULL), RN_OK);
+    ck_assert_int_eq(rn_mkdirs_in(above, in_folder("a"), 0755, NULL), RN_OK);
+    ck_assert_int_eq(access(in_folder("a/g/h"), F_OK), 0);
+    snprintf(above, sizeof above, "%s", in_folder("e"));
+    ck_assert_int_eq(rn_mkdirs_in(above, in_folder("e/g/h"), 0755, &err), RN_ERROR_NOT_FOUND);
+    ck_assert_int_ne(access(above, F_OK), 0);
     // Links are removed, not followed.
     char target[256];
     snprintf(target, sizeof target, "%s", in_folder("kept"));
@@ -295,7 +308,8 @@ START_TEST(a_folder_is_emptied) {
     ck_assert_int_eq(rn_file_write_atomic(in_folder("a/b/file"), "x", 1, NULL), RN_OK);
     ck_assert_int_eq(mkdir(in_folder("kept"), 0755), 0);
     ck_assert_int_eq(symlink("../../kept", in_folder("a/b/link")), 0);
-    int open_folder = open(in_folder("a/b"), O_RDONLY | O_DIRECTORY); // nothing else gets its number
+    int open_folder =
+        open(in_folder("a/b"), O_RDONLY | O_DIRECTORY); // nothing else gets its number
     ck_assert(open_folder >= 0 && fstat(open_folder, &before) == 0);
     ck_assert_int_eq(rn_folder_empty(in_folder("a/b"), NULL), RN_OK);
     ck_assert_int_eq(stat(in_folder("a/b"), &after), 0);
