@@ -220,13 +220,14 @@ static const struct rn_field_spec left_fields[] = {
     RN_F_STRING(struct left, detail, RN_REQUIRED, 4096)};
 static const struct rn_table left_table = RN_TABLE(struct left, "left job", left_fields);
 
-// What becomes of a job that is not waited for any more, and how to come back; as JSON {"detached":
-// {job, detail}}.
+// What becomes of a job that is not waited for any more, and how to come back; as JSON all in one,
+// {"detached": {job, detail}}.
 static void tell_way_back(const struct rn_follow *follow, const char *job_id, const char *what) {
     char detail[1024];
-    snprintf(detail, sizeof detail, "%s. Come back with: ripnerf %s %s%s%s", what,
+    snprintf(detail, sizeof detail, "%s. Come back with: ripnerf %s %s%s%s%s%s", what,
              follow->back ? follow->back : "watch", job_id, follow->tail ? " " : "",
-             follow->tail ? follow->tail : "");
+             follow->tail ? follow->tail : "", follow->also ? "\n" : "",
+             follow->also ? follow->also : "");
     if (!follow->client->json) {
         fprintf(stderr, "%s\n", detail);
         return;

@@ -19,6 +19,7 @@ struct rn_follow {
     bool quiet;       // no progress line
     const char *back; // "ripnerf BACK JOB" comes back to the job; NULL: watch
     const char *tail; // what else that command needs, after the job; NULL: nothing
+    const char *also; // a sentence on what the job makes, said with it; NULL: nothing
     struct rn_progress progress;
     // out: the job as last seen; rn_follow_finish frees it
     bool known;

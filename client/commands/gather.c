@@ -198,25 +198,27 @@ static enum rn_exit bring(struct frames *frames, const struct rn_follow *follow,
 static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *frames,
                                      int64_t first) {
     struct rn_error err = {0};
+    char also[600];
     struct rn_follow follow = {.client = client,
                                .quiet = client->json,
+                               .also = also,
                                .event = frames->target->is_film ? NULL : on_frame,
                                .context = frames};
     enum rn_exit code = RN_EXIT_OK;
+    snprintf(
+        also, sizeof also,
+        "Its frames will be at %s/v1/jobs/%s/frames.tar; the same command with --resume brings "
+        "them",
+        rn_http_host(client->http), frames->job);
     if (rn_http_create_twin(client->http, &frames->client.http, &err) != RN_OK)
         code = rn_client_fail(&err);
     if (code == RN_EXIT_OK) code = rn_follow_job(&follow, frames->job);
     if (code == RN_EXIT_OK) code = bring(frames, &follow, first, client->json);
-    if (follow.detached)
-        fprintf(stderr,
-                "Its frames will be at %s/v1/jobs/%s/frames.tar; the same command with "
-                "--resume brings them\n",
-                rn_http_host(client->http), frames->job);
-    else if (code == RN_EXIT_FAILED || code == RN_EXIT_CANCELLED)
+    bool cut_off = code == RN_EXIT_FAILED || code == RN_EXIT_CANCELLED;
+    if (cut_off && !follow.detached)
         rn_client_note("ripnerf: the same command with --resume goes on with what is there");
-    else if (code != RN_EXIT_UNREACHABLE && code != RN_EXIT_OK)
-        unlink(frames->target->note); // it would end the same way
-    if (code == RN_EXIT_OK) unlink(frames->target->note);
+    if (!cut_off && code != RN_EXIT_UNREACHABLE)
+        unlink(frames->target->note); // it is done, or would end the same way
     rn_follow_finish(&follow);
     rn_http_destroy(&frames->client.http);
     return code;

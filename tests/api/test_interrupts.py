@@ -88,18 +88,25 @@ def test_a_second_interrupt_ends_at_once(client, slow_archive, tmp_path):
         end(process, -signal.SIGINT)
 
 
+@pytest.mark.parametrize("options", [(), ("--json",)])
 @pytest.mark.parametrize("out, held, code, words", [
     ("film.mp4", "/film", CANCELLED, "was interrupted"),  # the job has ended
     ("frames", "/frames/2", FAILED, "goes on")])
-def test_what_is_brought_can_be_interrupted(client, daemon, tmp_path, out, held, code, words):
+def test_what_is_brought_can_be_interrupted(client, daemon, tmp_path, out, held, code, words, options):
     daemon.add_scene("slow" if out == "frames" else "lego", daemon.add_dataset("lego"))
     (tmp_path / "p.json").write_text(json.dumps(contract.example("PathFile")))
     daemon.held = held
-    process = client.start("path", "slow" if out == "frames" else "lego", "p.json", "-o", out)
+    process = client.start("path", "slow" if out == "frames" else "lego", "p.json", "-o", out, *options)
     wait_for(lambda: is_asked(daemon, held))
     process.send_signal(signal.SIGINT)
     err = end(process, code)
-    assert words in err and "--resume" in err
+    assert words in err
+    if options:
+        *_, last = map(json.loads, err.splitlines())
+        assert ("--resume" in last["detached"]["detail"] if out == "frames"
+                else last["error"]["exit_code"] == code)
+    else:
+        assert "--resume" in err
     left = sorted(str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*") if file.is_file())
     assert left == {"film.mp4": ["film.mp4.job", "p.json"],
                     "frames": ["frames/.ripnerf-job", "frames/00000.png", "frames/00001.png",
