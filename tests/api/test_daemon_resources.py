@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 import tarfile
 import time
 from pathlib import Path
@@ -129,6 +130,27 @@ def test_directory_outside_root(shared, photographs, directory, status):
     directory = directory.format(root=photographs.parent)
     reply = shared.post("/v1/datasets", {"name": "outside", "directory": directory})
     assert reply.status == status, reply.body
+
+
+@pytest.mark.parametrize("sandbox", [0, 1])
+def test_links_out_of_a_directory(make_daemon, photographs, tmp_path, sandbox):
+    """A folder under a root is no way to what lies elsewhere; links within it are taken."""
+    data = tmp_path / "root" / "data"
+    shutil.copytree(photographs, data)
+    daemon = make_daemon(dataset_root=data.parent, sandbox=sandbox)
+    picture = next(path for path in sorted(data.rglob("*.png")))
+    elsewhere, beside = tmp_path / "root" / "elsewhere.png", picture.with_name("beside.dat")
+    picture.rename(beside)
+    picture.symlink_to(beside)
+    job = daemon.post("/v1/datasets", {"name": "within", "directory": str(data)}).json["id"]
+    assert daemon.wait(job)["state"] == "succeeded"
+    beside.rename(elsewhere)
+    for target in (elsewhere, elsewhere.parent):  # a file; a folder that holds a whole tree
+        picture.unlink()
+        picture.symlink_to(target)
+        job = daemon.post("/v1/datasets", {"name": "out", "directory": str(data)}).json["id"]
+        problem = daemon.wait(job)["problem"]["detail"]
+        assert str(picture.relative_to(data)) in problem and "leads out" in problem
 
 
 def test_no_root(make_daemon, photographs):

@@ -2,6 +2,7 @@
 
 #include <dirent.h>
 #include <errno.h>
+#include <fts.h>
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
@@ -130,13 +131,44 @@ static enum rn_status descend(struct ingest *ingest, struct rn_error *err) {
     return RN_OK;
 }
 
+// A link of the folder, which is canonical. One that leads nowhere is a file that is missing.
+static enum rn_status check_link(const char *folder, const char *link, struct rn_error *err) {
+    char place[PATH_MAX];
+    size_t size = strlen(folder);
+    if (realpath(link, place) == NULL)
+        return errno == ENOENT ? RN_OK : rn_error_from_errno(err, errno, link, "follow the link");
+    if (strncmp(place, folder, size) == 0 && (place[size] == '/' || place[size] == '\0'))
+        return RN_OK;
+    return rn_error_set(err, RN_ERROR_INVALID, link + size + 1,
+                        "the link leads out of the dataset's folder: put there what it leads to, "
+                        "or upload the dataset");
+}
+
+// Who may name a folder may not read by it what lies elsewhere.
+static enum rn_status check_links(const char *folder, struct rn_error *err) {
+    char *const folders[] = {(char *)folder, NULL};
+    enum rn_status status = RN_OK;
+    FTSENT *entry = NULL;
+    FTS *tree = fts_open(folders, FTS_PHYSICAL | FTS_NOCHDIR, NULL);
+    if (tree == NULL) return rn_error_from_errno(err, errno, folder, "list");
+    while (status == RN_OK && (errno = 0, entry = fts_read(tree)) != NULL) {
+        if (entry->fts_info == FTS_SL || entry->fts_info == FTS_SLNONE)
+            status = check_link(folder, entry->fts_path, err);
+        else if (entry->fts_info == FTS_DNR || entry->fts_info == FTS_ERR)
+            status = rn_error_from_errno(err, entry->fts_errno, entry->fts_path, "list");
+    }
+    if (status == RN_OK && errno != 0) status = rn_error_from_errno(err, errno, folder, "list");
+    fts_close(tree);
+    return status;
+}
+
 static enum rn_status find_source(struct ingest *ingest, struct rn_error *err) {
     struct stat about;
     const struct rn_wire_ingest *order = &ingest->order;
     if (stat(order->source, &about) < 0)
         return rn_error_from_errno(err, errno, order->source, "find the dataset");
     ingest->folder = order->source;
-    if (S_ISDIR(about.st_mode)) return RN_OK;
+    if (S_ISDIR(about.st_mode)) return check_links(order->source, err);
     struct rn_unpack_limits limits = {.max_bytes = (size_t)order->max_bytes,
                                       .max_entries = (size_t)order->max_entries};
     enum rn_status status = rn_mkdir(order->work, 0777, err);
