@@ -255,6 +255,18 @@ def test_a_depth_says_how_near_and_far_it_is(blank):
         "01 level · black: 0")
 
 
+def test_what_is_wrong_is_told_once(blank):
+    told = blank.run(
+        """
+        const {problemBox} = await load('ui.js');
+        return args[0].map(([detail, pointer, why]) => problemBox({title: 'No', detail, errors: [
+            {pointer, detail: why}]}).innerText);""",
+        [["a.json: #/keys/1: no rotation", "#/file", "#/keys/1: no rotation"],
+         ["#/name: is taken", "#/name", "is taken"], ["is taken", "#/name", "is taken"]])
+    assert [words.count("no rotation") for words in told[:1]] == [1]
+    assert [words.count("is taken") for words in told[1:]] == [1, 2]  # once more with its place, untold so far
+
+
 @pytest.mark.parametrize("low", [0.2, 13.0, 29.1])
 def test_accuracy_has_a_scale_however_far_it_reaches(blank, low):
     marks = blank.run(

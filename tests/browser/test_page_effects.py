@@ -92,6 +92,24 @@ def test_a_key_s_effects_reach_picture_and_path(scene):
     scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
 
 
+def test_a_key_s_lens_goes_to_all_keys(scene):
+    """Depth of field along a whole path is one key's, told once, and one step back."""
+    scene.press("Whole turn")
+    scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
+    before = scene.path()["keys"]
+    scene.all(".key-picture")[2].click()
+    scene.press("Effects of the camera")
+    put(scene, "aperture", 0.25)
+    put(scene, "focus", 3)
+    put(scene, "fovDeg", 25)
+    scene.press("Lens to all keys")
+    after = scene.path()["keys"]
+    assert [(key["fovDeg"], key["optics"]) for key in after] == [(25, {"aperture": 0.25, "focus": 3})] * 8
+    assert [(key["time"], key["pose"]) for key in after[3:]] == [(key["time"], key["pose"]) for key in before[3:]]
+    scene.press("Undo")
+    assert [key["fovDeg"] for key in scene.path()["keys"]].count(25) == 1
+
+
 def test_keys_of_a_path_all_around_show_all_around(scene):
     asked = []
     scene.press("Whole turn")

@@ -1,5 +1,7 @@
 """A scene as a file: what it can be exported as, what came of it, and one that came so."""
 
+import math
+
 import pytest
 
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
@@ -45,6 +47,26 @@ def test_a_scene_that_came_as_a_file_says_so(page, fake):
     page.says("its photographs are not here", ".page-head")
     page.says("planes in 8 bits a value by blocks; it is not trained further")
     page.says("33.50 dB on 6 test views, 0.030 dB less than the scene that it is of")
+
+
+@pytest.mark.parametrize("source, least, most", [("cameras", 0.5, 0.8), ("layout", 2, 3)])
+def test_a_scene_whose_file_tells_no_start_begins_where_its_cameras_were(page, fake, source, least, most):
+    """Bounds about the cameras are of a place, which is looked at from within: outside its walls hide it."""
+    api = fake("busy")
+    with api.world.lock:
+        scene = api.world.find(api.world.scenes, "sphere-draft", "scene")
+        scene.update(dataset=None, dataset_name=None, viewing=VIEWING, loaded=True,
+                     bounds={"centre": [1, 2, 3], "radius": 5, "source": source})
+    asked = []
+    api.world.on_render = asked.append
+    for view in ("#/", "#/scene/sphere-draft"):
+        asked.clear()
+        page.open(api.url + view)
+        page.until(lambda: asked, f"a picture in {view}")
+        pose = asked[0]["camera"]["world_from_camera"]
+        away = [row[3] - c for row, c in zip(pose, (1, 2, 3))]
+        assert least < math.hypot(*away) / 5 < most
+        assert sum(x * row[2] for x, row in zip(away, pose)) < 0  # it looks at the middle
 
 
 def test_a_scene_that_came_as_a_file_begins_where_its_file_says(page, fake):

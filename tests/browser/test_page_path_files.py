@@ -53,7 +53,7 @@ def test_a_path_is_saved_and_opened(scene, downloads, tmp_path):
     scene.press("Whole turn")
     scene.until(lambda: len(scene.all(".key")) == 8, "eight keys")
     before = scene.path()["keys"]
-    scene.press("Keep and load")
+    scene.press("Keep, load, import, export")
     scene.press("Save as a file")
     file = downloads.saved(scene, "path.json")
     scene.press("Clear")
@@ -75,7 +75,7 @@ def test_whose_coordinates_they_are_is_asked(scene, tmp_path):
     file.write_text(json.dumps({"of a training": 1, "path": {
         "axes": "opencv", "width": 64, "height": 48,
         "keys": [{"time": 0, "world_from_camera": POSES[1], "fov_y_deg": 40}]}}))
-    scene.press("Keep and load")
+    scene.press("Keep, load, import, export")
     scene.all("#path-file")[0].send_keys(str(file))
     scene.says("those of one training of nerfstudio", "dialog")
     scene.press("Leave it")

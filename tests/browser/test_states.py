@@ -504,6 +504,19 @@ def test_token_is_asked_for_once(page, fake):
     page.says("with the scope admin")
 
 
+def test_what_failed_without_the_daemon_is_no_longer_told_with_it(page, fake):
+    api = fake("busy")
+    port = api.server_address[1]
+    page.open(api.url + "#/dataset/sphere")
+    page.find("#train")
+    api.stop()
+    page.press("Start training")
+    page.says("Daemon unreachable", "main .problem")
+    fake("busy", port)
+    page.until(lambda: not page.all("main .problem"), "nothing that went wrong")
+    assert page.button("Start training")
+
+
 def test_daemon_goes_and_comes_back(page, fake):
     api = fake("busy")
     port = api.server_address[1]

@@ -161,15 +161,21 @@ export function lookAt(orbit, point) {
 export const orbitOfCamera = (camera, up, bounds) =>
     orbitOfPose(openCvPose(camera), fovOf(camera), up, bounds);
 
-/** Where to begin without cameras: outside the bounds, a little above. */
-export const defaultOrbit = (bounds, up = [0, 0, 1]) => ({
-  target: [...bounds.centre],
-  distance: 2.7 * bounds.radius,
-  yaw: -0.9,
-  pitch: 0.45,
-  up,
-  fovDeg: 40
-});
+/**
+ * Where to begin without cameras: outside the bounds, a little above; within those that hold the cameras, which are
+ * of a place whose walls would hide it.
+ */
+export function defaultOrbit({centre, radius, source}, up = [0, 0, 1]) {
+  const within = source === 'cameras';
+  return {
+    target: [...centre],
+    distance: (within ? 0.65 : 2.7) * radius,
+    yaw: -0.9,
+    pitch: within ? 0.1 : 0.45,
+    up,
+    fovDeg: within ? 60 : 40
+  };
+}
 
 /** A camera as a short word for an address, and back: target, distance, heading, tilt, lens. */
 export const wordOfOrbit =

@@ -21,8 +21,8 @@ export function setChip(node, state) {
 /** A problem's title, detail and every field it points at. @param {Error} error */
 export function problemBox(error, {again} = {}) {
   const told = error.detail ?? '';
-  const faults =
-      (error.errors ?? []).filter((e) => !told.includes(e.pointer) || !told.includes(e.detail));
+  const places = (e) => told.includes(e.pointer) || e.detail?.startsWith('#/');  // within a file
+  const faults = (error.errors ?? []).filter((e) => !places(e) || !told.includes(e.detail));
   const node = h(
       'div', {class: 'problem', role: 'alert'},
       h('p', {class: 'problem-title'}, error.title ?? 'That did not work'),
@@ -32,7 +32,7 @@ export function problemBox(error, {again} = {}) {
             faults.map((e) => h('li', null, h('code', null, e.pointer), ' ', e.detail))) :
           null,
       again ? h('button', {type: 'button', onclick: again}, 'Try again') : null);
-  if (again && error instanceof Unreachable) onReturn(node, again);
+  if (error instanceof Unreachable) onReturn(node, again ?? (() => node.remove()));
   return node;
 }
 

@@ -20,11 +20,13 @@ const fovOfFocal = (mm) => (2 * Math.atan(FILM_MM / 2 / mm)) / DEGREE;
 /**
  * @param {number[]} up
  * @param {{change: (id: string, values: any) => void,
- *     depthOf: (pose: number[][], fovDeg: number) => Promise<number|null>, take: () => void}} host
- *     depthOf: how far away what a camera's middle shows is; take: gives the key the camera that looks
+ *     depthOf: (pose: number[][], fovDeg: number) => Promise<number|null>, take: () => void,
+ *     spread: () => void}} host
+ *     depthOf: how far away what a camera's middle shows is; take: gives the key the camera that looks;
+ *     spread: gives every key this one's field of view and effects
  * @returns {{node: HTMLElement, show: (key: any, number: number) => void}}
  */
-export function createKeyFields(up, {change, depthOf, take}) {
+export function createKeyFields(up, {change, depthOf, take, spread}) {
   let key = null;
   const title = h('h3', null, '');
   const inputs = Object.fromEntries(
@@ -79,7 +81,14 @@ export function createKeyFields(up, {change, depthOf, take}) {
             title: 'U: the key moves to where the camera stands now',
             onclick: take
           },
-            'Take this view')),
+            'Take this view'),
+          h('button', {
+            type: 'button',
+            class: 'small',
+            title: 'Every key gets the field of view and the effects of this one',
+            onclick: spread
+          },
+            'Lens to all keys')),
         h('div', null,
           FIELDS.map(
               ([name, label, unit]) =>

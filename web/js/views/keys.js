@@ -76,7 +76,8 @@ export function createKeys(scene, size, view, signal) {
       pictures();
     },
     depthOf: view.depthOf,
-    take
+    take,
+    spread
   });
   const timeline = createTimeline({
     path: () => path,
@@ -251,6 +252,14 @@ export function createKeys(scene, size, view, signal) {
     set(changeKey(
         path, selected, {pose: view.pose(), fovDeg: view.orbit.fovDeg, picture: undefined}));
     announce(`Key ${index + 1} is here now`);
+    pictures();
+  }
+
+  /** Every key has the chosen one's field of view and effects. */
+  function spread() {
+    const {fovDeg, optics} = path.keys.find((key) => key.id === selected);
+    set({...path, keys: path.keys.map((key) => ({...key, fovDeg, optics, picture: undefined}))});
+    announce(`${plural(path.keys.length, 'key')} changed`);
     pictures();
   }
 
@@ -633,7 +642,7 @@ function saving(get, adopt, signal) {
   };
   const node = h(
       'details', {ontoggle: () => node.open && saved().catch(toast)},
-      h('summary', null, 'Keep and load'),
+      h('summary', null, 'Keep, load, import, export'),
       h('div', {class: 'row wrap'}, h('label', {'for': 'path-name'}, 'Keep as'), name,
         action(
             'Keep',
