@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "client/interrupt.h"
 #include "common/base/file.h"
@@ -121,11 +122,11 @@ enum rn_exit rn_client_check_target(const char *file, bool overwrite) {
     const char *slash = strrchr(file, '/');
     if (stat(file, &about) == 0) {
         if (S_ISDIR(about.st_mode)) return rn_client_usage(file, "is a folder; name a file in it");
-        if (overwrite) return RN_EXIT_OK;
-        return rn_client_usage(file, "is there already; --overwrite replaces it");
+        if (!overwrite) return rn_client_usage(file, "is there already; --overwrite replaces it");
+        if (!S_ISREG(about.st_mode)) return RN_EXIT_OK;
     }
     char *folder = slash ? strndup(file, (size_t)(slash + 1 - file)) : strdup(".");
-    int errnum = !folder ? ENOMEM : stat(folder, &about) != 0 ? errno : 0;
+    int errnum = !folder ? ENOMEM : access(folder, W_OK) != 0 ? errno : 0;
     free(folder);
     if (errnum == 0) return RN_EXIT_OK;
     rn_error_from_errno(&err, errnum, file, "create");

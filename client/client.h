@@ -76,7 +76,7 @@ void rn_client_error_json(const char *json);
 // As rn_client_error, for a wrong command line.
 #define rn_client_usage(where, ...) rn_client_error(RN_EXIT_USAGE, where, __VA_ARGS__)
 // Before a file is made: fails where something has its name already, unless that is a file which
-// `overwrite` lets go, or where the folder is missing that it is to lie in.
+// `overwrite` lets go, or where the folder that it is to lie in is missing or may not be written.
 enum rn_exit rn_client_check_target(const char *file, bool overwrite);
 // RN_EXIT_NOT_FOUND where a file or folder that is to be read is missing.
 enum rn_exit rn_client_check_source(const char *path);

@@ -85,7 +85,7 @@ enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
     target.made = !there && !target.is_film;
     if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK) return rn_client_not_written(&err);
     *ret_target = target;
-    return RN_EXIT_OK;
+    return rn_client_check_target(target.note, true);
 }
 
 void rn_target_close(const struct rn_target *target) {
@@ -224,6 +224,17 @@ static enum rn_exit follow_and_bring(struct rn_client *client, struct frames *fr
     return code;
 }
 
+// Of a job that this call submitted, and whose pictures have no place.
+static void cancel(struct rn_client *client, const char *job) {
+    struct rn_api_reply reply;
+    char *path = rn_api_path("jobs", job, "/cancel");
+    if (!path) return;
+    rn_api_send(client, "POST", path, NULL, &reply);
+    free(path);
+    if (reply.code == RN_EXIT_OK) rn_client_note("ripnerf: job %s is cancelled", job);
+    rn_api_reply_finish(&reply);
+}
+
 enum rn_exit rn_gather(struct rn_client *client, const struct rn_target *target, const char *job,
                        int64_t first) {
     struct rn_error err = {0};
@@ -238,7 +249,10 @@ enum rn_exit rn_gather(struct rn_client *client, const struct rn_target *target,
     enum rn_exit code = RN_EXIT_OK;
     if (rn_file_write_atomic(target->note, id, (size_t)size, &err) != RN_OK)
         code = rn_client_not_written(&err);
-    if (code == RN_EXIT_OK) code = follow_and_bring(client, frames, first);
+    if (code == RN_EXIT_OK)
+        code = follow_and_bring(client, frames, first);
+    else if (!frames->resumed)
+        cancel(client, job);
     free(frames);
     return code;
 }

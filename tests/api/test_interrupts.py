@@ -1,5 +1,6 @@
 """Ctrl-C and a reader that leaves: what the client leaves behind, what it says, and its exit code."""
 
+import ctypes
 import io
 import json
 import os
@@ -148,6 +149,41 @@ def test_photographs_that_were_not_all_made_are_taken_back(client, tmp_path):
                           env=client.environment, restore_signals=False, preexec_fn=leave_no_room)
     assert said.returncode == FAILED and "File too large" in said.stderr
     assert not (tmp_path / "new").exists()
+
+
+def test_what_has_no_place_is_not_asked_for(client, daemon, tmp_path):
+    """Nothing is computed for a folder that may not be written; what a full disk cannot take is cancelled."""
+    daemon.add_scene("slow", daemon.add_dataset("lego"))
+    (tmp_path / "p.json").write_text(json.dumps(contract.example("PathFile")))
+    (tmp_path / "closed").mkdir(mode=0o555)
+
+    def give_up_rights():  # root's, of writing where nobody may
+        libc = ctypes.CDLL(None)
+        for capability in (1, 2):
+            libc.prctl(24, capability, 0, 0, 0)
+
+    def leave_no_room():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+    def fails(prepare, *words):
+        said = subprocess.run(client.command(*words), cwd=tmp_path, capture_output=True, text=True, check=False,
+                              env=client.environment, restore_signals=False, preexec_fn=prepare)
+        assert said.returncode == FAILED, said.stderr
+        return said.stderr
+
+    for words in (("path", "slow", "p.json", "-o", "closed/f.gif"), ("path", "slow", "p.json", "-o", "closed"),
+                  ("path", "slow", "p.json", "-o", "closed/new"), ("turntable", "slow", "-o", "closed/f.gif"),
+                  ("render", "slow", "--view", "test:0", "-o", "closed/p.png"),
+                  ("export", "slow", "--as", "mesh", "-o", "closed/m.ply")):
+        said = fails(give_up_rights, *words)
+        assert "closed" in said and "Permission denied" in said
+    assert not any(method == "POST" for method, *_ in daemon.requests) and not daemon.jobs
+    said = fails(leave_no_room, "path", "slow", "p.json", "-o", "frames")
+    (job, made), = daemon.jobs.items()
+    assert "File too large" in said and f"{job} is cancelled" in said
+    wait_for(lambda: made.record["state"] == "cancelled")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["closed", "p.json"]
 
 
 def train_slowly(client, daemon, *options):
