@@ -20,12 +20,12 @@ give_up() {
 }
 
 # run PROGRAM: builds it and runs it; 0 passed, 1 failed, 2 did not build. `doctor` is the runner's;
-# `reference` is a test of tests/unit, `poses`, `outliers`, `withheld` and `places` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
+# `reference` and `sheets` are tests of tests/unit, `poses`, `outliers`, `withheld` and `places` of tests/ops; `commands` and `proofs` look at the compile commands and at the proofs' quotations.
 run() {
     local target=tests/numerics/numerics_$1
     case $1 in
     doctor) target=server/ripnerf-runner ;;
-    reference) target=tests/unit/engine/test_reference ;;
+    reference | sheets) target=tests/unit/engine/test_$1 ;;
     poses) target=tests/ops/pose_test ;;
     outliers) target=tests/ops/outlier_test ;;
     withheld) target=tests/ops/withheld_test ;;
@@ -349,6 +349,12 @@ mutate outliers server/engine/train/outliers.c "outliers: what any other photogr
 mutate outliers server/engine/train/saving.c "outliers: turns of a checkpoint are not counted" \
     's|t->outliers.turns = from->outlier_turns;||'
 
+mutate sheets $train/sheets.c "sheets: a plane's depth is that of its points' mean" \
+    's/double here = mean\[2\] - .*/double here = mean[2];/'
+mutate sheets $train/sheets.c "sheets: edges part nothing" \
+    's/if (fabsf(here\[c\] - last\[c\]) > EDGE) return false;/(void)0;/'
+mutate sheets $train/sheets.c "sheets: free to the farthest of the points about" \
+    's/nearest = fminf(nearest,/nearest = fmaxf(nearest,/'
 mutate withheld $train/live.c "withheld: photographs that tell the progress are trained on" \
     's|if (rn_trainer_withholds(.*)) return;||'
 mutate withheld $train/occupancy.c "withheld: what they leave empty is carved" \
