@@ -38,7 +38,6 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
 // three times as long or more.
 #define PLATEAU_TIMES 10 // the preset's time, for a training that ends at its plateau
 #define SHORT_RUN 40     // seconds
-#define LONG_RUN 120
 static const struct {
     const char *name;
     double in_short, between, in_long; // no limit counts as between
@@ -51,7 +50,7 @@ void rn_train_config_suit_time(struct rn_train_config *config) {
     if (strcmp(config->preset, "standard") != 0) return;
     for (size_t i = 0; i < sizeof by_time / sizeof *by_time; i++)
         rn_setting_put_number(rn_settings_find(&rn_train_settings, by_time[i].name),
-                              seconds >= LONG_RUN                  ? by_time[i].in_long
+                              seconds >= RN_TRAIN_LONG_RUN         ? by_time[i].in_long
                               : seconds > 0 && seconds < SHORT_RUN ? by_time[i].in_short
                                                                    : by_time[i].between,
                               config);

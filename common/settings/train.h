@@ -134,6 +134,8 @@ enum rn_status rn_planes_check(int planes, enum rn_orientation orientation,
 // defaults were measured apart). RN_ERROR_INVALID for an unknown name.
 enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_config *ret_config,
                          struct rn_error *err) RN_MUST_CHECK;
+#define RN_TRAIN_LONG_RUN 120 // seconds: larger networks, larger batches of places
+
 // After a change of max_seconds: what the preset makes of the time.
 void rn_train_config_suit_time(struct rn_train_config *config);
 // What the data calls for in place of the preset's value of the setting `name`; another than the

@@ -197,6 +197,8 @@ START_TEST(photographs_call_for_their_space) {
     const struct rn_effect_record *r = &records[RN_EFFECT_UNBOUNDED];
     for (int i = 0; i < 4; i++) {
         struct rn_train_config config = config_for(dataset);
+        config.target_samples = 32768; // the preset's
+        config.max_seconds = i == 3 ? 120 : 60;
         struct rn_dataset as = *dataset;
         as.frames = calloc(as.frame_count, sizeof *as.frames);
         for (size_t f = 0; f < as.frame_count; f++) {
@@ -211,6 +213,7 @@ START_TEST(photographs_call_for_their_space) {
         ck_assert(r->decided && r->on == on && (r->number > r->threshold) == on);
         ck_assert_ptr_nonnull(strstr(r->reason, i < 2 ? "quarter" : "dataset's ball"));
         ck_assert(config.field.space == (on ? RN_SPACE_UNBOUNDED : RN_SPACE_BALL));
+        ck_assert_int_eq(config.target_samples, i == 1 ? 16384 : 32768);
         struct rn_march_options endless = {0}; // of a training without a limit
         rn_effects_march(&config, NAN, &endless);
         ck_assert((config.distortion_loss > 0) == on && (endless.distortion_loss > 0) == on);
@@ -229,12 +232,14 @@ START_TEST(what_was_asked_for_stays_in_all_of_space) {
     config.stop = 0.5;
     config.occupancy_limit = 0.25;
     config.distortion_loss = 0.125;
+    config.target_samples = 5000;
     rn_effects_prepare(dataset, &config, records);
     ck_assert(config.field.space == RN_SPACE_UNBOUNDED);
     ck_assert_double_eq(config.step, 0.007);
     ck_assert_double_eq(config.stop, 0.5);
     ck_assert_double_eq(config.occupancy_limit, 0.25);
     ck_assert_double_eq(config.distortion_loss, 0.125);
+    ck_assert_int_eq(config.target_samples, 5000);
 }
 END_TEST
 

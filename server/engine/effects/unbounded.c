@@ -22,6 +22,10 @@ static void take_up(struct rn_train_config *c) {
     rn_train_config_suit_data(c, "stop", fmax(c->stop, STOP));
     rn_train_config_suit_data(c, "occupancy_limit", OCCUPANCY);
     rn_train_config_suit_data(c, "distortion_loss", DISTORTION);
+    // Twice as many steps of half as many samples, where there is time for few
+    // (tests/bench/captures.md).
+    if (c->max_seconds > 0 && c->max_seconds < RN_TRAIN_LONG_RUN)
+        rn_train_config_suit_data(c, "target_samples", c->target_samples / 2);
     c->cone_step = false;
     // Cameras' distances from the centre say little of footprints that are contracted: levels took
     // fox (300 steps) 20.1 s of one thread to 20.1 dB, points 9.0 s to 19.8.
