@@ -56,6 +56,11 @@ def test_another_scene_or_an_earlier_moment_is_laid_over_the_view(page, fake):
     page.press("Blink")
     page.until(lambda: page.all(".wipe img.away"), "the rendering alone")
     page.until(lambda: not page.all(".wipe img.away"), "the other alone")
+    laid = "return document.querySelector('.wipe img').src;"
+    first = page.run(laid)
+    page.run("document.getElementById('rival').dispatchEvent(new Event('change'));")
+    page.until(lambda: page.run(laid) not in ("", first), "the picture to be laid anew")
+    page.until(lambda: page.all(".wipe img.away"), "that to blink too")
     page.press("Blink")
     assert page.find(".wipe-line").is_displayed()
     asked = []

@@ -73,15 +73,15 @@ export function createWipe(scene, canvas, signal) {
         type: 'button',
         class: 'small',
         'aria-pressed': 'false',
-        onclick: () => {
-          if (blinking) return stopBlink();
-          blink.setAttribute('aria-pressed', 'true');
-          line.hidden = true;
-          image.style.clipPath = 'none';
-          blinking = setInterval(() => image.classList.toggle('away'), 700);
-        }
+        onclick: () => blinking ? stopBlink() : startBlink()
       },
         'Blink');
+  function startBlink() {
+    blink.setAttribute('aria-pressed', 'true');
+    line.hidden = true;
+    image.style.clipPath = 'none';
+    blinking = setInterval(() => image.classList.toggle('away'), 700);
+  }
   function stopBlink() {
     clearInterval(blinking);
     blinking = 0;
@@ -117,6 +117,7 @@ export function createWipe(scene, canvas, signal) {
   }
   function lay(blob, words, told = false, rendered = null) {
     const before = kind.value;
+    const blinked = blinking;
     hide();
     laid = {blob, words};
     put(image, blob);
@@ -125,6 +126,7 @@ export function createWipe(scene, canvas, signal) {
     text(label, words);
     place();
     node.hidden = false;
+    if (blinked) startBlink();
     kind.value = before;
     if (before || told) image.decode().then(() => compare(told), () => {});
   }
