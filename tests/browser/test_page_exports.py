@@ -49,6 +49,17 @@ def test_a_scene_that_came_as_a_file_says_so(page, fake):
     page.says("33.50 dB on 6 test views, 0.030 dB less than the scene that it is of")
 
 
+def first_cameras(page, api):
+    """Of the scene's first picture among the others, and on its own page."""
+    asked = []
+    api.world.on_render = asked.append
+    for view in ("#/", "#/scene/sphere-draft"):
+        asked.clear()
+        page.open(api.url + view)
+        page.until(lambda: asked, f"a picture in {view}")
+        yield asked[0]["camera"]
+
+
 @pytest.mark.parametrize("source, least, most", [("cameras", 0.5, 0.8), ("layout", 2, 3)])
 def test_a_scene_whose_file_tells_no_start_begins_where_its_cameras_were(page, fake, source, least, most):
     """Bounds about the cameras are of a place, which is looked at from within: outside its walls hide it."""
@@ -57,13 +68,8 @@ def test_a_scene_whose_file_tells_no_start_begins_where_its_cameras_were(page, f
         scene = api.world.find(api.world.scenes, "sphere-draft", "scene")
         scene.update(dataset=None, dataset_name=None, viewing=VIEWING, loaded=True,
                      bounds={"centre": [1, 2, 3], "radius": 5, "source": source})
-    asked = []
-    api.world.on_render = asked.append
-    for view in ("#/", "#/scene/sphere-draft"):
-        asked.clear()
-        page.open(api.url + view)
-        page.until(lambda: asked, f"a picture in {view}")
-        pose = asked[0]["camera"]["world_from_camera"]
+    for camera in first_cameras(page, api):
+        pose = camera["world_from_camera"]
         away = [row[3] - c for row, c in zip(pose, (1, 2, 3))]
         assert least < math.hypot(*away) / 5 < most
         assert sum(x * row[2] for x, row in zip(away, pose)) < 0  # it looks at the middle
@@ -77,13 +83,7 @@ def test_a_scene_that_came_as_a_file_begins_where_its_file_says(page, fake):
     with api.world.lock:
         scene = api.world.find(api.world.scenes, "sphere-draft", "scene")
         scene.update(dataset=None, dataset_name=None, viewing={**VIEWING, "start": start}, loaded=True)
-    asked = []
-    api.world.on_render = asked.append
-    for view in ("#/", "#/scene/sphere-draft"):
-        asked.clear()
-        page.open(api.url + view)
-        page.until(lambda: asked, f"a picture in {view}")
-        camera = asked[0]["camera"]
+    for camera in first_cameras(page, api):
         assert [x for row in camera["world_from_camera"] for x in row] == \
             pytest.approx([x for row in AWAY for x in row], abs=1e-9)
         assert camera["fov_y_deg"] == pytest.approx(43.60, abs=0.01)

@@ -131,6 +131,7 @@ def test_a_photograph_is_enlarged(page, fake):
     dialog.send_keys(Keys.ESCAPE)
     page.until(lambda: not page.all(".enlarged"), "the page alone")
     assert page.run("return document.activeElement.className;") == "photo"
+    assert page.complaints() == []
 
 
 def test_a_small_photograph_fills_a_phone_and_is_cut_out_on_white(page, fake):
