@@ -12,6 +12,7 @@
 
 #define PART_BYTES (64ull << 20) // what a proxy may hold back until it has it all
 #define IDLE_S 60                // without a byte: the connection counts as lost
+#define LAST_IDLE_S 10 // the same of its end, for which somebody waits who has interrupted it
 #define FIRST_WAIT_MS 250
 #define MOST_WAIT_MS 8000
 #define PATIENCE_NS (120 * 1000000000ll)
@@ -45,6 +46,11 @@ static void arrived(struct upload *upload) {
     upload->wait_ms = FIRST_WAIT_MS;
 }
 
+static enum rn_exit complain(const struct rn_api_reply *reply) {
+    if (!rn_interrupt_seen()) return rn_api_complain(reply);
+    return rn_client_error(RN_EXIT_CANCELLED, "the upload", "was interrupted");
+}
+
 // One exchange with a JSON body, again and again while the daemon does not answer.
 static enum rn_exit ask(struct upload *upload, const char *method, const char *path,
                         const char *body, struct rn_api_reply *ret_reply) {
@@ -54,7 +60,7 @@ static enum rn_exit ask(struct upload *upload, const char *method, const char *p
         rn_api_reply_finish(ret_reply);
     }
     if (ret_reply->code == RN_EXIT_OK) arrived(upload);
-    return ret_reply->code == RN_EXIT_OK ? RN_EXIT_OK : rn_api_complain(ret_reply);
+    return ret_reply->code == RN_EXIT_OK ? RN_EXIT_OK : complain(ret_reply);
 }
 
 static enum rn_exit begin(struct upload *upload, const char *name) {
@@ -125,7 +131,7 @@ static enum rn_exit send_part(struct upload *upload, bool *ret_lost) {
         *ret_lost = true;
         code = RN_EXIT_OK;
     } else {
-        rn_api_complain(&reply);
+        code = complain(&reply);
     }
     rn_api_reply_finish(&reply);
     return code;
@@ -164,14 +170,36 @@ static enum rn_exit import_it(struct upload *upload, const char *name,
     return RN_EXIT_OK;
 }
 
+// What arrived of an upload that ended early is deleted: a later call begins anew. Also after an
+// interrupt, which ends all other requests.
+static void give_up(struct upload *upload) {
+    struct rn_http_reply reply = {0};
+    struct rn_error err = {0};
+    char *path = rn_api_path("uploads", upload->record.id, "");
+    struct rn_http_request request = {.method = "DELETE", .path = path, .idle_s = LAST_IDLE_S};
+    if (!path) return;
+    enum rn_status status = rn_http_perform(upload->client->http, &request, &reply, &err);
+    if (status == RN_OK && reply.status == 404)
+        rn_client_note(
+            "ripnerf: the daemon has what was sent no longer, or imports it: ripnerf jobs");
+    else if (status != RN_OK || reply.status / 100 != 2)
+        rn_client_note("ripnerf: what was sent stays in the daemon for a day (%s)",
+                       upload->record.id);
+    rn_http_reply_finish(&reply);
+    free(path);
+}
+
 enum rn_exit rn_upload(struct rn_client *client, struct rn_tar *tar, const char *name,
                        const struct rn_ingest_options *options, char ret_job[RN_ID_MAX]) {
     struct upload upload = {.client = client, .tar = tar};
+    struct rn_error err = {0};
+    if (rn_interrupt_catch(&err) != RN_OK) return rn_client_fail(&err);
     arrived(&upload);
     rn_progress_init(&upload.progress, !client->json);
     enum rn_exit code = begin(&upload, name);
     if (code == RN_EXIT_OK) code = send_all(&upload);
     rn_progress_finish(&upload.progress);
     if (code == RN_EXIT_OK) code = import_it(&upload, name, options, ret_job);
+    if (code != RN_EXIT_OK && *upload.record.id) give_up(&upload);
     return code;
 }

@@ -15,6 +15,7 @@ import pytest
 
 from support import contract
 from support.client import CANCELLED, FAILED, UNREACHABLE, USAGE
+from support.photographs import write_blank_dataset
 from support.waiting import PATIENCE_S, wait_for
 
 
@@ -37,6 +38,35 @@ def test_a_backup_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, n
     process.send_signal(number)
     assert "was interrupted" in end(process, CANCELLED)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_upload_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, number):
+    """Neither before nor in its import does the daemon keep what nobody can go on with."""
+    write_blank_dataset(tmp_path / "blank")
+    daemon.cut_after, daemon.stuck = 100, True
+    process = client.start("import", "blank", "--name", "blank")
+    wait_for(lambda: any(method == "PATCH" for method, *_ in daemon.requests))
+    assert len(daemon.parts) == 1
+    process.send_signal(number)
+    assert end(process, CANCELLED).endswith("ripnerf: the upload: was interrupted\n")
+    assert not daemon.parts and not daemon.jobs
+    daemon.held = "/datasets"  # it is whole, and its import is not answered
+    process = client.start("import", "blank", "--name", "blank", "--json")
+    wait_for(lambda: is_asked(daemon, "/datasets"))
+    process.send_signal(number)
+    assert json.loads(end(process, CANCELLED))["error"]["exit_code"] == CANCELLED
+    assert not daemon.parts and not daemon.jobs
+
+
+def test_an_upload_that_cannot_be_taken_back_is_told_of(client, daemon, tmp_path):
+    write_blank_dataset(tmp_path / "blank")
+    daemon.cut_after, daemon.stuck = 100, True
+    process = client.start("import", "blank", "--name", "blank")
+    wait_for(lambda: any(method == "PATCH" for method, *_ in daemon.requests))
+    daemon.away = True
+    process.send_signal(signal.SIGINT)
+    assert f"stays in the daemon for a day ({next(iter(daemon.parts))})" in end(process, CANCELLED)
 
 
 @pytest.fixture

@@ -115,6 +115,7 @@ class FakeDaemon:
         self.uploads = {}  # dataset: {file: bytes}
         self.parts = {}    # upload: (size, bytes so far)
         self.cut_after = None  # a part's connection is cut once, after so many bytes
+        self.stuck = False  # instead nothing more of it is taken, until the client is gone
         handler = type("Handler", (Handler,), {"daemon": self})
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
         self.server.daemon_threads = True
@@ -325,7 +326,9 @@ class Handler(BaseHTTPRequestHandler):
         self.daemon.take_part(upload, int(self.headers["Upload-Offset"]), self.rfile.read(count))
         self.daemon.requests.append((self.command, self.path, dict(self.headers), b""))
         self.close_connection = True
-        self.connection.shutdown(socket.SHUT_RDWR)
+        if self.daemon.stuck:
+            return self.rfile.read()
+        return self.connection.shutdown(socket.SHUT_RDWR)
 
     def hold(self):
         """Answers the beginning of much, and no more before the client is gone."""
@@ -350,6 +353,10 @@ class Handler(BaseHTTPRequestHandler):
                 self.reply(200, daemon.upload(upload))
             case ("PATCH", "uploads", upload):
                 daemon.take_part(upload, int(self.headers["Upload-Offset"]), body)
+                self.reply(204)
+            case ("DELETE", "uploads", upload):
+                daemon.upload(upload)
+                del daemon.parts[upload]
                 self.reply(204)
             case ("POST", "datasets"):
                 self.accept(daemon.import_upload(json.loads(body)))
