@@ -22,7 +22,8 @@ static bool is_linked(struct rn_control *control, const char *job) {
     return count > 0;
 }
 
-// The record first: what is removed is not spoken of.
+// The record last: what a crash or a failure leaves of the pictures counts, and a later look
+// removes it.
 static void remove_pictures(struct rn_control *control, struct rn_job_row *row, const char *why) {
     struct rn_error err = {0};
     char *folder = rn_store_path(control->store, "jobs/%s/frames", row->id);
@@ -30,8 +31,11 @@ static void remove_pictures(struct rn_control *control, struct rn_job_row *row, 
     row->size_bytes = 0;
     enum rn_status status = folder == NULL
                                 ? rn_error_set(&err, RN_ERROR_NO_MEMORY, row->id, "no memory")
-                                : rn_store_update(control->store, &rn_jobs_table, row, &err);
+                                : rn_store_check_folder(control->store, &err);
     if (status == RN_OK) status = rn_folder_empty(folder, &err); // a request may look at any time
+    if (status == RN_OK) status = rn_folder_flush(folder, &err);
+    if (status == RN_OK || status == RN_ERROR_NOT_FOUND)
+        status = rn_store_update(control->store, &rn_jobs_table, row, &err);
     if (status == RN_OK)
         rn_log(RN_LOG_INFO, "the pictures of job %s are removed, %lld bytes: %s", row->id,
                (long long)bytes, why);

@@ -311,6 +311,27 @@ def test_retention_by_age(make_daemon, photographs):
     assert frames_of(daemon, gone) == 0 and frames_of(daemon, linked) == 3
 
 
+def test_retention_goes_on_after_a_crash(make_daemon, photographs):
+    """Pictures that are not removed yet when the daemon is killed are removed by the next one."""
+    daemon = make_daemon()
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    job, = make_paths(daemon, 1)
+    daemon.stop()
+    frames = Path(daemon.data) / "jobs" / job / "frames"
+    aside = frames.rename(frames.with_name("aside"))
+    frames.symlink_to(frames)  # it cannot be opened
+    daemon.options["retain_pictures"] = "1s"
+    daemon.start()
+    daemon.logged(f"the pictures of job {job}: ")
+    daemon.stop(signal.SIGKILL)
+    frames.unlink()
+    aside.rename(frames)
+    daemon.start()
+    daemon.logged(f"the pictures of job {job} are removed")
+    assert not list(frames.iterdir())
+
+
 def test_retention_by_space(make_daemon, photographs):
     """The oldest frames go first, and only so many."""
     daemon = make_daemon()
