@@ -48,12 +48,6 @@ static void read_runner(struct rn_control *control, struct rn_runner *runner, in
     }
 }
 
-// Whether a runner that owes an answer has been silent for too long: it hangs.
-static bool is_silent(struct rn_control *control, struct rn_runner *runner, int64_t now_ns) {
-    if (runner->state != RN_RUNNER_READY || rn_runner_is_idle(runner)) runner->heard_ns = now_ns;
-    return now_ns - runner->heard_ns > control->options.runner_timeout_s * 1000000000ll;
-}
-
 static void serve_runners(struct rn_control *control) {
     int64_t now_ns = rn_clock_ns(), until_ns = now_ns + READING_NS;
     struct rn_runner *next;
@@ -70,8 +64,7 @@ static void serve_runners(struct rn_control *control) {
         if (!runner->broken) read_runner(control, runner, until_ns);
         if (!runner->broken && rn_wire_flush(&runner->writer, &empty, NULL) != RN_OK)
             read_runner(control, runner, INT64_MAX);
-        bool late = (runner->state != RN_RUNNER_READY && now_ns > runner->deadline_ns) ||
-                    is_silent(control, runner, now_ns);
+        bool late = rn_runner_is_late(control, runner, now_ns);
         if (late) runner->hangs = true;
         if (late || (runner->broken && rn_remote_is_settled(control, runner)))
             rn_runner_remove(control, runner, false);

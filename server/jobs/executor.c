@@ -1,5 +1,6 @@
 #include "server/jobs/executor.h"
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -148,6 +149,49 @@ static int64_t local_memory(struct rn_executor *executor, const struct rn_proces
     return (int64_t)resident * sysconf(_SC_PAGESIZE);
 }
 
+// From the state on, "R (running), parent, ...", of a process or thread: what its name may hold, a
+// bracket too, comes before. False: it is gone.
+static bool read_stat(const char *path, char *ret_state, int64_t *ret_used_ns) {
+    char text[1024];
+    unsigned long long user = 0, system = 0;
+    FILE *file = fopen(path, "re");
+    size_t size = file != NULL ? fread(text, 1, sizeof text - 1, file) : 0;
+    if (file != NULL) fclose(file);
+    text[size] = '\0';
+    const char *rest = strrchr(text, ')');
+    if (rest == NULL || sscanf(rest, ") %c %*d %*d %*d %*d %*d %*u %*u %*u %*u %*u %llu %llu",
+                               ret_state, &user, &system) != 3)
+        return false;
+    *ret_used_ns =
+        (int64_t)((user + system) * (1000000000ull / (unsigned long)sysconf(_SC_CLK_TCK)));
+    return true;
+}
+
+static bool is_ready(pid_t pid) {
+    char path[320];
+    int64_t used_ns;
+    bool ready = false;
+    struct dirent *entry;
+    snprintf(path, sizeof path, "/proc/%d/task", (int)pid);
+    DIR *threads = opendir(path);
+    while (threads != NULL && !ready && (entry = readdir(threads)) != NULL) {
+        char state = '\0';
+        snprintf(path, sizeof path, "/proc/%d/task/%s/stat", (int)pid, entry->d_name);
+        ready = entry->d_name[0] != '.' && read_stat(path, &state, &used_ns) && state == 'R';
+    }
+    if (threads != NULL) closedir(threads);
+    return ready;
+}
+
+static int64_t local_used(struct rn_executor *executor, const struct rn_process *process,
+                          bool *ret_ready) {
+    char path[64], state;
+    int64_t used_ns;
+    snprintf(path, sizeof path, "/proc/%d/stat", (int)process->pid);
+    if (ret_ready != NULL) *ret_ready = is_ready(process->pid);
+    return read_stat(path, &state, &used_ns) ? used_ns : -1;
+}
+
 static void local_hold(struct rn_executor *executor, const struct rn_process *process, bool held) {
     kill(process->pid, held ? SIGSTOP : SIGCONT);
 }
@@ -171,6 +215,7 @@ enum rn_status rn_local_executor_create(const char *program, bool sandbox,
                                        .end = local_end,
                                        .hold = local_hold,
                                        .memory = local_memory,
+                                       .used = local_used,
                                        .destroy = local_destroy};
     local->program = copy;
     local->sandbox = sandbox;

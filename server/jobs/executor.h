@@ -73,6 +73,10 @@ struct rn_executor {
     void (*hold)(struct rn_executor *executor, const struct rn_process *process, bool held);
     // Bytes of memory that it holds now on this machine, 0 when not known.
     int64_t (*memory)(struct rn_executor *executor, const struct rn_process *process);
+    // Nanoseconds of processors that it has had here, -1 when not known; *ret_ready, unless NULL:
+    // whether one of its threads could use one now. NULL: it is not known of any.
+    int64_t (*used)(struct rn_executor *executor, const struct rn_process *process,
+                    bool *ret_ready);
     // Where it keeps them, remote runners stay where they are.
     void (*destroy)(struct rn_executor *executor);
 };

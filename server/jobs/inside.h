@@ -98,6 +98,8 @@ struct rn_runner {
     int64_t last_used_ns;
     int64_t heard_ns;      // when it said something, or when nothing was expected of it
     int64_t deadline_ns;   // it must have opened, or ended, by then
+    int64_t looked_ns;     // late.c: when it was looked at last,
+    int64_t used_ns;       // and what it had had of processors
     char helps[RN_ID_MAX]; // the path job of which it makes frames beside its runner; "" = none
     bool helping;          // it has some to make
     int64_t asked_ns;      // when it was asked for
@@ -312,6 +314,9 @@ void rn_idle_stop(struct rn_control *control);
 
 // retain.c
 void rn_retain_work(struct rn_control *control);
+
+// late.c: whether one is to be ended because it should have answered, opened or ended by now.
+bool rn_runner_is_late(struct rn_control *control, struct rn_runner *runner, int64_t now_ns);
 
 // schedule.c
 void rn_schedule(struct rn_control *control);

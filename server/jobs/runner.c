@@ -56,7 +56,7 @@ void rn_runner_connected(struct rn_runner *runner) {
     runner->state = RN_RUNNER_STARTING;
     rn_wire_reader_init(&runner->reader, runner->process.fd);
     rn_wire_writer_init(&runner->writer, runner->process.fd, MAX_PENDING_BYTES);
-    runner->last_used_ns = runner->heard_ns = rn_clock_ns();
+    runner->last_used_ns = runner->heard_ns = runner->looked_ns = rn_clock_ns();
     rn_runner_more_time(runner);
 }
 

@@ -251,6 +251,12 @@ static int64_t memory(struct rn_executor *executor, const struct rn_process *pro
     return process->remote ? 0 : slurm->local->memory(slurm->local, process);
 }
 
+static int64_t used(struct rn_executor *executor, const struct rn_process *process,
+                    bool *ret_ready) {
+    struct rn_slurm *slurm = (struct rn_slurm *)executor;
+    return process->remote ? -1 : slurm->local->used(slurm->local, process, ret_ready);
+}
+
 static void hold(struct rn_executor *executor, const struct rn_process *process, bool held) {
     struct rn_slurm *slurm = (struct rn_slurm *)executor;
     if (!process->remote) slurm->local->hold(slurm->local, process, held);
@@ -373,6 +379,7 @@ enum rn_status rn_slurm_executor_create(const struct rn_slurm_options *options,
                                        .end = end,
                                        .hold = hold,
                                        .memory = memory,
+                                       .used = used,
                                        .destroy = destroy};
     slurm->time_s = options->time_s;
     slurm->gpus = options->gpus;

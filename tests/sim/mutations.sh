@@ -46,7 +46,7 @@ mutate $jobs/task.c "what could not be written is never written" 's/    enum rn_
 mutate $jobs/task.c "a lost job stays with its runner" '/^                  const struct rn_ending \*ending) {/{n;d}'
 mutate $jobs/machine.c "a lost job is queued without being interrupted" 's/? RN_JOB_INTERRUPTED : -1/? RN_JOB_QUEUED : -1/'
 mutate $jobs/control.c "interrupted jobs are forgotten by the next daemon" 's/RN_JOB_CANCELLING, RN_JOB_INTERRUPTED};/RN_JOB_CANCELLING, RN_JOB_CANCELLING};/'
-mutate $jobs/control.c "a runner that hangs is waited for" 's/> control->options.runner_timeout_s \* 1000000000ll/> INT64_MAX - 1/'
+mutate $jobs/late.c "a runner that hangs is waited for" 's/> control->options.runner_timeout_s \* 1000000000ll/> INT64_MAX - 1/'
 mutate $jobs/schedule.c "one training more than there are slots" 's/count_active(control, RN_JOB_TRAIN, RN_JOB_ESTIMATE) </count_active(control, RN_JOB_TRAIN, RN_JOB_ESTIMATE) <=/'
 mutate $jobs/submit.c "a key is written after its job" 's/status = rn_store_insert(control->store, &rn_keys, &key, err);/status = RN_OK;/'
 mutate $jobs/submit.c "a scene's files go before its record" 's/^    enum rn_status status = rn_task_settle_scene(/    if (task == NULL) remove_folder(control, "scenes", scene->id);\n&/'
