@@ -38,7 +38,7 @@ enum rn_status rn_error_from_errno(struct rn_error *err, int errnum, const char 
                                    const char *verb) {
     enum rn_status status = RN_ERROR_IO;
     if (errnum == ENOENT) status = RN_ERROR_NOT_FOUND;
-    if (errnum == ENOSPC || errnum == EDQUOT) status = RN_ERROR_NO_SPACE;
+    if (errnum == ENOSPC || errnum == EDQUOT || errnum == EFBIG) status = RN_ERROR_NO_SPACE;
     if (errnum == ENOMEM) status = RN_ERROR_NO_MEMORY;
     char text[128];
     return rn_error_set(err, status, where, "cannot %s: %s", verb,

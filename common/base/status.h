@@ -19,7 +19,7 @@ enum rn_status {
     RN_ERROR_CONFLICT,     // the thing is in a state that forbids this
     RN_ERROR_LIMIT,        // a stated limit would be exceeded
     RN_ERROR_NO_MEMORY,    // an allocation failed
-    RN_ERROR_NO_SPACE,     // the disk is full (ENOSPC, EDQUOT)
+    RN_ERROR_NO_SPACE,     // the disk is full, or a limit of it (EDQUOT, EFBIG)
     RN_ERROR_IO,           // any other failing system call
     RN_ERROR_UNSUPPORTED,  // understood, but not something this build or machine can do
     RN_ERROR_CORRUPT,      // a file of ours is damaged
@@ -44,7 +44,7 @@ enum rn_status rn_error_set(struct rn_error *err, enum rn_status status, const c
                             const char *fmt, ...) RN_PRINTF(4, 5);
 
 // As rn_error_set, with the text ("cannot VERB: ...") and the status of an errno value; ENOENT
-// becomes RN_ERROR_NOT_FOUND, ENOSPC and EDQUOT RN_ERROR_NO_SPACE, ENOMEM RN_ERROR_NO_MEMORY.
+// becomes RN_ERROR_NOT_FOUND, ENOSPC, EDQUOT and EFBIG RN_ERROR_NO_SPACE, ENOMEM RN_ERROR_NO_MEMORY.
 enum rn_status rn_error_from_errno(struct rn_error *err, int errnum, const char *where,
                                    const char *verb);
 

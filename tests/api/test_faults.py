@@ -5,6 +5,7 @@ The daemon must go on serving, answer what it documents (or nothing), and keep w
 
 import errno
 import http.client
+import resource
 import time
 from pathlib import Path
 
@@ -212,6 +213,29 @@ def test_a_full_disk_ends_a_training_with_its_reason(real, runner_faults):
     assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
     assert real.get("/v1/scenes/full").json["state"] == "failed"
     assert real.train("healed", **TRAIN)[0]["state"] == "succeeded"
+
+
+def test_a_checkpoint_of_which_only_a_part_has_room(real):
+    """The training goes on without it and fails at its end, with the reason; the scene is what its last whole
+    checkpoint is, and nothing of those that were cut off is left."""
+    job = real.submit(type="train", dataset="data", scene="cut-off",
+                      options={**TRAIN, "max_steps": 100000, "checkpoint_interval_s": 0.2})
+    scene = real.get("/v1/scenes/cut-off").json["id"]
+    folder = Path(real.data) / "scenes" / scene
+    wait_for(lambda: (real.get("/v1/scenes/cut-off").json["steps"] or 0) > 0)
+    size = max(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    runner, = (pid for pid in real.runners() if any(folder in file.resolve().parents
+                                                    for file in Path(f"/proc/{pid}/fd").iterdir()))
+    resource.prlimit(runner, resource.RLIMIT_FSIZE, (size // 2, size // 2))
+    assert real.post(f"/v1/jobs/{job}/finish").status == 200
+    record = real.wait(job)
+    assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
+    assert "File too large" in record["problem"]["detail"]
+    left = real.get("/v1/scenes/cut-off").json
+    assert left["state"] == "ready" and left["steps"] > 0
+    assert f"step-{left['steps']:09d}.safetensors" in [path.name for path in folder.rglob("step-*")]
+    assert not list(folder.rglob("*.tmp")) and not list(folder.rglob("*.damaged"))
+    assert real.post("/v1/scenes/cut-off/render", {"view": "test:0"}).status == 200
 
 
 def test_a_frame_that_cannot_be_written_fails_the_path(real, runner_faults):
