@@ -232,6 +232,19 @@ static void check_depth(struct rn_engine *engine, struct rn_field *field,
     rn_render_result_finish(&result);
 }
 
+// What a start shows: the wall, from edge to edge.
+static void check_seen(struct rn_engine *engine, struct rn_field *field,
+                       const struct rn_camera *start) {
+    struct rn_render_options options = {.camera = rn_camera_resized(start, SIDE, SIDE),
+                                        .outputs = RN_OUTPUT_RGB | RN_OUTPUT_ALPHA};
+    struct rn_render_result result;
+    struct rn_error err;
+    ck_assert_int_eq(rn_render(engine, field, &options, NULL, NULL, &result, &err), RN_OK);
+    for (int i = 0; i < SIDE * SIDE; i++)
+        ck_assert_float_gt(result.alpha.values[i], 0.8F);
+    rn_render_result_finish(&result);
+}
+
 // A training of the wall after its 400 steps.
 static struct rn_trainer *trained_wall(struct rn_engine *engine, struct wall *ret_wall) {
     make_wall(0, true, ret_wall);
@@ -295,6 +308,42 @@ START_TEST(pictures_march_in_half_steps) {
 }
 END_TEST
 
+// Among the cameras, as they look, with their up; a file that tells a start keeps it.
+START_TEST(a_file_without_a_start_begins_among_its_cameras) {
+    struct wall w;
+    struct rn_error err;
+    struct rn_field *field;
+    struct rn_field_info info;
+    struct rn_viewing told = {.bits = 32, .split = "train", .version = "0.1.0"};
+    char path[128];
+    struct rn_engine *engine = engine_with(2);
+    struct rn_trainer *t = trained_wall(engine, &w);
+    snprintf(path, sizeof path, "%s/wall.ripscene", folder);
+    for (int with = 0; with < 2; with++) {
+        told.has_start = with;
+        told.start = w.frames[1].camera;
+        memcpy(told.up, (double[3]){0, -1, 0}, sizeof told.up);
+        ck_assert_int_eq(rn_viewing_write(rn_trainer_field(t), &told, path, &err), RN_OK);
+        ck_assert_int_eq(rn_field_load(engine, path, &field, &err), RN_OK);
+        rn_field_describe(field, &info);
+        const struct rn_viewing *v = &info.viewing;
+        ck_assert(v->has_start);
+        for (int i = 0; i < 3; i++) {
+            const double mean[3] = {0, 0, 0.05 * 15 / 16};
+            const double *row = v->start.world_from_camera[i];
+            ck_assert_double_eq_tol(row[2], i == 2, 1e-9);
+            ck_assert_double_eq_tol(v->up[i], -(i == 1), 1e-9);
+            ck_assert_double_eq_tol(
+                row[3], with ? w.frames[1].camera.world_from_camera[i][3] : mean[i], 1e-9);
+        }
+        if (!with) check_seen(engine, field, &v->start);
+        rn_field_destroy(&field);
+    }
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // Interrupted between two rounds over the cells, and with other threads: the same parameters.
 START_TEST(goes_on_as_it_was) {
     struct wall w;
@@ -330,6 +379,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, cut_out_scenes_keep_the_ball);
     tcase_add_test(tests, rays_match_float64);
     tcase_add_test(tests, depth_in_dataset_units);
+    tcase_add_test(tests, a_file_without_a_start_begins_among_its_cameras);
     tcase_add_test(tests, pictures_march_in_half_steps);
     tcase_add_test(tests, goes_on_as_it_was);
 }

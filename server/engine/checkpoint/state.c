@@ -280,6 +280,27 @@ static enum rn_status decode_start(const json_t *viewing, const char *path, stru
                                        "export it again");
 }
 
+#define START_SIDE 800  // pixels, the longer one
+#define START_SHARE 0.7 // its edges are what only the outer cameras saw
+
+// Where a file for viewing tells none and its planes cover a disparity box: the box's reference
+// camera, the mean of those that it was trained from, which sees START_SHARE of the box across.
+static void start_in_box(const struct rn_disparity *s, struct rn_viewing *v) {
+    const double widest = fmax(s->half[0], s->half[1]);
+    struct rn_camera c = {.width = (int)ceil(START_SIDE * s->half[0] / widest),
+                          .height = (int)ceil(START_SIDE * s->half[1] / widest)};
+    c.fx = c.fy = START_SIDE / (START_SHARE * 2 * widest / s->scale[0]); // of x / z
+    c.cx = c.width / 2.0, c.cy = c.height / 2.0;
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++)
+            c.world_from_camera[i][j] = s->axes[i][j];
+        c.world_from_camera[i][3] = s->origin[i];
+        v->up[i] = -s->axes[i][1];
+    }
+    v->has_start = rn_camera_check(&c, "", NULL) == RN_OK;
+    v->start = c;
+}
+
 // Of a file for viewing. One that an older build cannot read has another `format`.
 static void encode_viewing(const struct rn_viewing *v, json_t *state) {
     json_t *viewing = json_pack("{s:i,s:i,s:o,s:o,s:i,s:s,s:s,s:s,s:s}", "format",
@@ -362,6 +383,8 @@ enum rn_status rn_checkpoint_parse_state(const json_t *state, const char *path,
                             json_object_get(state, "progress"), &c->counters.progress, path, err);
     if (status == RN_OK) status = decode_disparity(state, path, &c->disparity, err);
     if (status == RN_OK) status = decode_viewing(state, path, &c->viewing, err);
+    if (c->viewing.bits && !c->viewing.has_start && c->disparity.on)
+        start_in_box(&c->disparity, &c->viewing);
     if (status == RN_OK) status = rn_train_config_check(&c->config, err);
     if (status != RN_OK) return status;
     for (size_t l = 0; l < RN_PROGRESS_LEVELS; l++)

@@ -87,7 +87,7 @@ struct rn_viewing {
     char dataset[80];       // what the dataset is called where it was made
     char sha256[65];        // of the parameters that it is of
     char version[32];       // of the program that wrote it
-    bool has_start;         // files of older builds tell none
+    bool has_start;         // files of older builds tell none: of a disparity box it is told on reading
     struct rn_camera start; // where to begin to look, without a lens
     double up[3];           // the scene's, a unit vector
 };
