@@ -93,6 +93,41 @@ def test_what_is_laid_over_the_view_says_that_it_comes_or_why_not(scene):
     scene.until(lambda: "not shown" not in scene.text(".viewport-tools"), "nothing to say")
 
 
+def show(page, output):
+    page.run("const o = document.querySelector(`.viewport-tools input[value=${args[0]}]`); o.checked = true;"
+             "o.dispatchEvent(new Event('change', {bubbles: true}));", output)
+
+
+def test_nothing_of_colours_is_laid_over_a_map(page, fake):
+    """Neither a photograph nor another moment; both are back with the colours, and a view's button asks for these."""
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    laid = ".wipe:not([hidden])"
+    choose(page, "at:3.75")
+    page.says("After 3.8 s", ".wipe-bar label")
+    show(page, "cost")
+    page.says("After 3.8 s is laid over colours alone", ".viewport [role=status]")
+    page.find(".legend .heat-bar")
+    assert not page.all(laid)
+    show(page, "rgb")
+    page.says("After 3.8 s", ".wipe-bar label")
+    choose(page, "")
+    pick = "const s = document.querySelector('#view-pick'); s.value = args[0]; s.dispatchEvent(new Event('change'));"
+    page.run(pick, "2")
+    page.says("Photograph", ".wipe-bar label")
+    show(page, "depth")
+    page.until(lambda: not page.all(laid), "the map alone")
+    asked = []
+    api.world.on_render = asked.append
+    page.run(pick, "3")
+    page.until(lambda: any(body["output"] == "depth" for body in asked), "the depth from there")
+    assert not page.all(laid) and not [body for body in asked if "view" in body]
+    show(page, "rgb")
+    page.says("Photograph", ".wipe-bar label")
+    assert page.complaints() == []
+
+
 def test_a_photograph_stands_in_until_the_first_picture_is_there(page, fake):
     api = fake("busy")
     coarse, refined = threading.Event(), threading.Event()
@@ -234,3 +269,9 @@ def test_on_a_phone_nothing_is_cut_off(page, fake, width):
     assert lane["width"] > 200  # eight keys stand apart
     page.press("×")
     page.until(lambda: not page.all(".wipe:not([hidden])"), "the comparison closed")
+    page.says("refined", ".hud")
+    one, line = page.run(
+        "const hud = document.querySelector('.hud'); const line = parseFloat(getComputedStyle(hud).lineHeight);"
+        "return [hud.clientHeight, line];")
+    assert one < 2 * line  # its figures stand in one line
+    assert "step" in page.text(".hud") and "samples" not in page.text(".hud")

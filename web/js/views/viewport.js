@@ -88,6 +88,8 @@ export function createViewport(scene, cameras, host, signal) {
   stage.append(past);
   const output =
       choice('Show', OUTPUTS, 'rgb');
+  /** A photograph or another scene's picture beside a map's colours would say nothing. */
+  const inColour = () => output.control.value === 'rgb';
   const fov =
       h('input', {type: 'range', min: 5, max: 100, step: 0.5, value: orbit.fovDeg, id: 'fov'});
   const fovWords = h('output', {'for': 'fov'});
@@ -101,7 +103,7 @@ export function createViewport(scene, cameras, host, signal) {
   const wipe = createWipe(scene, canvas, signal);
   const visit = (item) => {
     set(orbitAt(item), openCvPose(item.camera));
-    wipe.show(item).catch(toast);
+    if (inColour()) wipe.show(item).catch(toast);
   };
   const views = viewPicker(full, visit);
 
@@ -277,13 +279,13 @@ export function createViewport(scene, cameras, host, signal) {
     const then = /^at:/.test(rival.value) ? Number(rival.value.slice(3)) : null;
     const other = then ? {id: scene.id, name: `After ${seconds(then)}`} :
                          rivals.find((one) => one.id === rival.value);
-    if (!other) {
-      text(besideWords, '');
+    if (!other || !inColour()) {
+      text(besideWords, other ? `${other.name} is laid over colours alone` : '');
       return wipe.hide();
     }
     const seen = orbit;
     const chosen = rival.value;
-    const isWanted = () => seen === orbit && rival.value === chosen;
+    const isWanted = () => seen === orbit && rival.value === chosen && inColour();
     text(
         besideWords,
         then ? `Rendering the scene as it was after ${seconds(then)}…` :
@@ -325,22 +327,7 @@ export function createViewport(scene, cameras, host, signal) {
     const now = performance.now();
     if (facts.level === 0 && now - toldAt < TOLD_MS) return;
     toldAt = now;
-    text(
-        hud,
-        [
-          facts.step === 0                   ? 'not trained yet' :
-              Number.isFinite(facts.askedMs) ? `within ${milliseconds(facts.askedMs)}` :
-                                               LEVELS[facts.level],
-          `${facts.width} × ${facts.height}`,
-          Number.isFinite(facts.at) ? `after ${seconds(facts.at)} of training` : '',
-          Number.isFinite(facts.step) ? `step ${whole(facts.step)}` : '',
-          Number.isFinite(facts.renderMs) ? `${milliseconds(facts.renderMs)} rendering` : '',
-          `${milliseconds(facts.totalMs)} in all`,
-          Number.isFinite(facts.samples) ? `${compact(facts.samples)} samples` : ''
-        ].filter(Boolean)
-            .join('  ·  '));
-    const scale = legend(facts.scale, facts.output);
-    if (scale) hud.append(scale);
+    fill(hud, figuresOf(facts), legend(facts.scale, facts.output));
   }
 
   function showTrouble(error) {
@@ -419,7 +406,15 @@ export function createViewport(scene, cameras, host, signal) {
   const publish = () =>
       copyLink({scene: scene.id}, link.scene(scene.id, queryOf()), scene.name);
   fov.addEventListener('input', () => set({...orbit, fovDeg: Number(fov.value)}));
-  output.control.onChange(() => viewer.refresh());
+  output.control.onChange(() => {
+    viewer.refresh();
+    const item = views?.chosen();
+    if (!inColour()) {
+      wipe.hide();
+      beside();
+    } else if (item)
+      wipe.show(item).catch(toast);
+  });
   detail.addEventListener('change', () => viewer.refresh());
   const observer = new ResizeObserver(resize);
   observer.observe(stage);
@@ -497,6 +492,7 @@ export function createViewport(scene, cameras, host, signal) {
     compare: (split, index) => {
       const item = full.find((one) => one.split === split && one.index === index);
       if (!item) return;
+      if (!inColour()) output.control.value = 'rgb';
       visit(item);
       stage.scrollIntoView({block: 'nearest'});
     },
@@ -527,6 +523,25 @@ export function createViewport(scene, cameras, host, signal) {
     refresh: viewer.refresh,
     msPerPixel: viewer.msPerPixel,
   };
+}
+
+/** What a picture is and took, one line; a phone has no room for what is marked as `more`. */
+function figuresOf(facts) {
+  const more = (words) => h('span', {class: 'more'}, words);
+  const known = (value, told) => (Number.isFinite(value) ? told : null);
+  return [
+    facts.step === 0                   ? 'not trained yet' :
+        Number.isFinite(facts.askedMs) ? `within ${milliseconds(facts.askedMs)}` :
+                                         LEVELS[facts.level],
+    more(`  ·  ${facts.width} × ${facts.height}`),
+    known(facts.at, `  ·  after ${seconds(facts.at)}`),
+    known(facts.at, more(' of training')),
+    known(facts.step, `  ·  step ${whole(facts.step)}`),
+    known(facts.renderMs, `  ·  ${milliseconds(facts.renderMs)}`),
+    known(facts.renderMs, more(' rendering')),
+    more(`  ·  ${milliseconds(facts.totalMs)} in all`),
+    known(facts.samples, more(`  ·  ${compact(facts.samples)} samples`))
+  ];
 }
 
 /** A picture of as many pixels as are asked for. */
@@ -597,6 +612,8 @@ function viewPicker(cameras, show) {
     node: h('div', {class: 'tool'}, h('label', {'for': 'view-pick'}, 'View'), select),
     clear: () => {
       if (select.value) select.value = '';
-    }
+    },
+    /** The view that is shown, if it was chosen here. */
+    chosen: () => (select.value ? cameras[Number(select.value)] : null)
   };
 }
