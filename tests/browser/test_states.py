@@ -517,6 +517,22 @@ def test_what_failed_without_the_daemon_is_no_longer_told_with_it(page, fake):
     assert page.button("Start training")
 
 
+def test_a_button_says_what_had_no_answer(page, fake):
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: page.ink() > 100, "a picture")
+    page.press("Whole turn")
+    page.find(".key")
+    api.stop()
+    page.says("No connection to the daemon", "#banner")
+    assert not page.all(".toast")  # nobody asked for anything
+    page.press("Save picture")
+    page.says("“Save picture” had no answer. The daemon is away", "#toasts")
+    page.press("Keep, load, import, export")
+    page.press("Keep")
+    page.says("“Keep” had no answer.", "#toasts")
+
+
 def test_daemon_goes_and_comes_back(page, fake):
     api = fake("busy")
     port = api.server_address[1]

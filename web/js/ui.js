@@ -148,6 +148,13 @@ export function showFaults(fields, box, error) {
   fill(box, all ? problemBox(all) : null);
 }
 
+/** That the daemon was away is the banner's to say; of what a button asked for, its name is told. */
+const unanswered = (button, error) => error instanceof Unreachable ?
+    Object.assign(new Error('The daemon is away; once it is back, try it again if it was not done.'), {
+      title: `“${button.getAttribute('aria-label') ?? button.textContent}” had no answer.`
+    }) :
+    error;
+
 /** A button that works on something: disabled meanwhile, its failure told. */
 export function action(label, work, {kind = '', title, onError = toast} = {}) {
   const node =
@@ -161,7 +168,7 @@ export function action(label, work, {kind = '', title, onError = toast} = {}) {
           try {
             await work();
           } catch (error) {
-            if (error.name !== 'AbortError') onError(error);
+            if (error.name !== 'AbortError') onError(onError === toast ? unanswered(node, error) : error);
           } finally { node.removeAttribute('aria-disabled'); }
         }
       },
