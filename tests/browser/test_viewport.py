@@ -9,6 +9,7 @@ from support.waiting import PATIENCE_S
 pytest.importorskip("selenium", reason="python3-selenium is not installed")
 from PIL import Image  # noqa: E402
 from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+from selenium.webdriver.common.keys import Keys  # noqa: E402
 from test_page_paths import measured  # noqa: E402
 
 
@@ -141,6 +142,26 @@ def test_a_photograph_stands_in_until_the_first_picture_is_there(page, fake):
         "css selector", ".cover-note").is_displayed(), "nothing over the picture")
     refined.set()
     page.find(".stage[data-level=refined]")
+    assert page.complaints() == []
+
+
+def test_a_picture_is_waited_for_with_the_daemon(page, fake):
+    """Until it is back, and then for what it renders; what says so stands clear of the picture's figures."""
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("refined", ".hud")
+    api.stop()
+    page.find(".stage").send_keys(Keys.ARROW_LEFT)
+    page.says("The daemon does not answer", ".cover-note")
+    apart = "return args.map((css) => document.querySelector(css).getBoundingClientRect().toJSON());"
+    note, figures = page.run(apart, ".cover-note", ".hud")
+    assert note["bottom"] <= figures["top"]
+    rendered = threading.Event()
+    again = fake("busy", api.server_address[1])
+    again.world.on_render = lambda _: rendered.wait(PATIENCE_S)
+    page.says("The daemon is back", ".cover-note")
+    rendered.set()
+    page.until(lambda: not page.find(".stage").find_elements("css selector", ".cover-note:not([hidden])"), "a picture")
     assert page.complaints() == []
 
 

@@ -27,13 +27,14 @@ import {createViewer} from '../viewer.js';
 import {action, choice, copyWords, STANDS_IN_MS, toast} from '../ui.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
-import {may, means, state} from '../store.js';
+import {may, means, state, watch} from '../store.js';
 import {createCrop} from './crop.js';
 import {cameraNear, drawOverlay} from './overlay.js';
 import {createWipe} from './wipe.js';
 
 const LEVELS = ['coarse', 'half size', 'refined'];
 const MAX_SIDE = 1280;
+const AWAY = 'The daemon does not answer; the picture comes back with it.';
 const TOLD_MS = 250;  // figures of pictures of a moving camera are told no more often: nobody reads them
 
 /**
@@ -345,9 +346,17 @@ export function createViewport(scene, cameras, host, signal) {
         cover, waits ? h('span', {class: 'spinner', 'aria-hidden': 'true'}) : null,
         h('span', null,
           error instanceof Unreachable ?
-              'The daemon does not answer; the picture comes back with it.' :
+              AWAY :
               `${error.title ?? 'No picture'}: ${error.detail || error.message}`));
   }
+  /** With the daemon a picture is asked for at once; it may take long there, which is no absence. */
+  watch(({connection}) => {
+    if (connection.status !== 'online' || !cover.textContent.includes(AWAY)) return;
+    fill(
+        cover, h('span', {class: 'spinner', 'aria-hidden': 'true'}),
+        h('span', null, 'The daemon is back; waiting for its picture'));
+    viewer.refresh();
+  }, signal);
 
   function resize() {
     const ratio = Math.min(2, devicePixelRatio || 1);
