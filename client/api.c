@@ -126,7 +126,7 @@ enum rn_exit rn_client_check_target(const char *file, bool overwrite) {
         if (!S_ISREG(about.st_mode)) return RN_EXIT_OK;
     }
     char *folder = slash ? strndup(file, (size_t)(slash + 1 - file)) : strdup(".");
-    int errnum = !folder ? ENOMEM : access(folder, W_OK) != 0 ? errno : 0;
+    int errnum = !folder ? ENOMEM : access(folder, W_OK | X_OK) != 0 ? errno : 0;
     free(folder);
     if (errnum == 0) return RN_EXIT_OK;
     rn_error_from_errno(&err, errnum, file, "create");

@@ -5,6 +5,7 @@ The daemon must go on serving, answer what it documents (or nothing), and keep w
 
 import errno
 import http.client
+import re
 import resource
 import time
 from pathlib import Path
@@ -215,6 +216,10 @@ def test_a_full_disk_ends_a_training_with_its_reason(real, runner_faults):
     assert real.train("healed", **TRAIN)[0]["state"] == "succeeded"
 
 
+def only_whole_checkpoints(folder):
+    return all(re.fullmatch(r"step-\d{9}.safetensors", path.name) for path in (folder / "checkpoints").iterdir())
+
+
 def test_a_checkpoint_of_which_only_a_part_has_room(real):
     """The training goes on without it and fails at its end, with the reason; the scene is what its last whole
     checkpoint is, and nothing of those that were cut off is left."""
@@ -234,8 +239,17 @@ def test_a_checkpoint_of_which_only_a_part_has_room(real):
     left = real.get("/v1/scenes/cut-off").json
     assert left["state"] == "ready" and left["steps"] > 0
     assert f"step-{left['steps']:09d}.safetensors" in [path.name for path in folder.rglob("step-*")]
-    assert not list(folder.rglob("*.tmp")) and not list(folder.rglob("*.damaged"))
+    assert only_whole_checkpoints(folder)
     assert real.post("/v1/scenes/cut-off/render", {"view": "test:0"}).status == 200
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_checkpoint_that_cannot_be_put_in_place_leaves_nothing(real, runner_faults, n):
+    runner_faults.arm("rename", n, errno.ENOSPC, for_good=True)
+    record = real.wait(real.submit(type="train", dataset="data", scene=f"no-name-{n}", options=TRAIN))
+    runner_faults.disarm()
+    assert record["state"] == "failed" and record["problem"]["type"] == "/problems/no-space", record
+    assert only_whole_checkpoints(Path(real.data) / "scenes" / record["scene"])
 
 
 def test_a_frame_that_cannot_be_written_fails_the_path(real, runner_faults):

@@ -186,6 +186,8 @@ def test_what_has_no_place_is_not_asked_for(client, daemon, tmp_path):
     daemon.add_scene("slow", daemon.add_dataset("lego"))
     (tmp_path / "p.json").write_text(json.dumps(contract.example("PathFile")))
     (tmp_path / "closed").mkdir(mode=0o555)
+    (tmp_path / "closed-too").mkdir()
+    (tmp_path / "closed-too").chmod(0o222)  # the umask takes from mkdir's
 
     def give_up_rights():  # root's, of writing where nobody may
         libc = ctypes.CDLL(None)
@@ -205,6 +207,7 @@ def test_what_has_no_place_is_not_asked_for(client, daemon, tmp_path):
     for words in (("path", "slow", "p.json", "-o", "closed/f.gif"), ("path", "slow", "p.json", "-o", "closed"),
                   ("path", "slow", "p.json", "-o", "closed/new"), ("turntable", "slow", "-o", "closed/f.gif"),
                   ("render", "slow", "--view", "test:0", "-o", "closed/p.png"),
+                  ("render", "slow", "--view", "test:0", "-o", "closed-too/p.png"),
                   ("export", "slow", "--as", "mesh", "-o", "closed/m.ply")):
         said = fails(give_up_rights, *words)
         assert "closed" in said and "Permission denied" in said
@@ -213,7 +216,7 @@ def test_what_has_no_place_is_not_asked_for(client, daemon, tmp_path):
     (job, made), = daemon.jobs.items()
     assert "File too large" in said and f"{job} is cancelled" in said
     wait_for(lambda: made.record["state"] == "cancelled")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["closed", "p.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["closed", "closed-too", "p.json"]
 
 
 def train_slowly(client, daemon, *options):

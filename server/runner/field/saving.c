@@ -63,14 +63,16 @@ static enum rn_status end(struct rn_saving *saving, struct rn_trainer *trainer, 
     const struct rn_progress *p = &saving->progress;
     saving->begun = false;
     enum rn_status status = rn_trainer_save_end(trainer, saving->sha256, err);
-    if (!status) status = fresh_path(folder, fresh, err);
+    if (status) return status;
+    status = fresh_path(folder, fresh, err);
+    if (status) return status;
     struct rn_mark mark = {.train_seconds = p->train_seconds, .step = p->step};
-    if (!status)
-        status = saving->is_mark ? rn_mark_path(folder, &mark, path, err)
-                                 : rn_checkpoint_path(folder, p->step, path, err);
+    status = saving->is_mark ? rn_mark_path(folder, &mark, path, err)
+                             : rn_checkpoint_path(folder, p->step, path, err);
     if (!status && (rename(fresh, path) < 0 ||
                     sync_folder(folder, saving->is_mark ? "marks" : "checkpoints") < 0))
         status = rn_error_from_errno(err, errno, path, "put the checkpoint in place");
+    if (status) unlink(fresh);
     if (status) return status;
     if (saving->is_mark)
         rn_marks_prune(folder, p->step);
