@@ -21,11 +21,14 @@ static void on_signal(int number) {
 
 enum rn_status rn_interrupt_catch(struct rn_error *err) {
     struct sigaction action = {.sa_handler = on_signal,
-                               .sa_flags = (int)(SA_RESETHAND | SA_RESTART)};
+                               .sa_flags = (int)(SA_RESETHAND | SA_RESTART)},
+                     before;
     if (interrupt_pipe[0]) return RN_OK;
     sigemptyset(&action.sa_mask);
     if (pipe2(interrupt_pipe, O_CLOEXEC | O_NONBLOCK) != 0 ||
-        sigaction(SIGINT, &action, NULL) != 0 || sigaction(SIGTERM, &action, NULL) != 0)
+        sigaction(SIGINT, &action, NULL) != 0 || sigaction(SIGTERM, &action, NULL) != 0 ||
+        sigaction(SIGHUP, NULL, &before) != 0 ||
+        (before.sa_handler != SIG_IGN && sigaction(SIGHUP, &action, NULL) != 0)) // nohup ignores it
         return rn_error_from_errno(err, errno, "signals", "catch Ctrl-C");
     return RN_OK;
 }

@@ -40,9 +40,11 @@ def test_a_backup_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, n
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_upload_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, number):
     """Neither before nor in its import does the daemon keep what nobody can go on with."""
+    if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+        pytest.skip("SIGHUP is ignored here, as under nohup")
     write_blank_dataset(tmp_path / "blank")
     daemon.cut_after, daemon.stuck = 100, True
     process = client.start("import", "blank", "--name", "blank")
@@ -57,6 +59,18 @@ def test_an_upload_that_is_interrupted_leaves_nothing(client, daemon, tmp_path, 
     process.send_signal(number)
     assert json.loads(end(process, CANCELLED))["error"]["exit_code"] == CANCELLED
     assert not daemon.parts and not daemon.jobs
+
+
+def test_what_nohup_starts_is_not_interrupted_by_its_terminal(client, daemon, tmp_path):
+    write_blank_dataset(tmp_path / "blank")
+    daemon.cut_after, daemon.stuck = 100, True
+    process = subprocess.Popen(client.command("import", "blank", "--name", "blank"), cwd=tmp_path,
+                               env=client.environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                               preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    wait_for(lambda: any(method == "PATCH" for method, *_ in daemon.requests))
+    assert not takes(process, signal.SIGHUP) and takes(process, signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
+    end(process, CANCELLED)
 
 
 def test_an_upload_that_cannot_be_taken_back_is_told_of(client, daemon, tmp_path):
