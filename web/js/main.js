@@ -124,7 +124,7 @@ function startBanner() {
     const told = state.connection.problem?.message;
     const why = refused() ? 'Nothing can be shown without one.' :
         told              ? `It says: ${told.replace(/[.]$/, '')}.` :
-                            'What is shown is from before; jobs go on without this page.';
+                            'What is shown is from before; jobs do not need this page.';
     text(words, `${why} ${left ? `Trying again in ${left} s.` : 'Trying…'}`);
   }, 250);
 }
