@@ -55,6 +55,28 @@ static bool read_note(struct rn_target *target) {
     return *target->job;
 }
 
+// To the folder above, "" where the path names none.
+static void go_up(char *path) {
+    char *end = path + strlen(path);
+    while (end > path && end[-1] == '/')
+        end--;
+    while (end > path && end[-1] != '/')
+        end--;
+    while (end > path && end[-1] == '/')
+        end--;
+    *end = '\0';
+}
+
+// How much of a path is there.
+static size_t length_there(const char *out) {
+    char path[PATH_MAX];
+    struct stat about;
+    snprintf(path, sizeof path, "%s", out);
+    while (*path && stat(path, &about) != 0)
+        go_up(path);
+    return strlen(path);
+}
+
 enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
                             struct rn_target *ret_target) {
     struct rn_target target = {
@@ -83,13 +105,18 @@ enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
     if (resume && !noted && there && (target.is_film || holds_frames(out)))
         return rn_client_usage(out, "holds nothing that was interrupted; --overwrite replaces it");
     target.made = !there && !target.is_film;
-    if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK) return rn_client_not_written(&err);
+    if (target.made) target.there = length_there(out);
     *ret_target = target;
+    if (target.made && rn_mkdirs(out, 0777, &err) != RN_OK) return rn_client_not_written(&err);
     return rn_client_check_target(target.note, true);
 }
 
 void rn_target_close(const struct rn_target *target) {
-    if (target->made) (void)rmdir(target->out); // one that holds something stays
+    char path[PATH_MAX];
+    if (!target->made) return;
+    snprintf(path, sizeof path, "%s", target->out);
+    for (; strlen(path) > target->there; go_up(path))
+        (void)rmdir(path); // one that holds something stays
 }
 
 // ---- bringing ----

@@ -11,7 +11,8 @@
 struct rn_target {
     const char *out; // borrowed
     bool is_film;
-    bool made;             // the folder, by rn_target_open
+    bool made;             // the folder, by rn_target_open,
+    size_t there;          // and all above it beyond so many bytes of `out`
     const char *extension; // of frames, static
     char note[PATH_MAX];   // a file that holds the job's id while it is under way
     char job[RN_ID_MAX];   // to go on with; "" for a new one
@@ -23,7 +24,7 @@ int rn_target_film(const char *out, const char *codec);
 // an earlier call.
 enum rn_exit rn_target_open(const char *out, bool overwrite, bool resume,
                             struct rn_target *ret_target);
-// Takes away a folder that rn_target_open made and nothing came into.
+// Takes away folders that rn_target_open made and nothing came into.
 void rn_target_close(const struct rn_target *target);
 // Follows the job and brings its frames as they come, from number `first` on, or its film; prints a
 // summary. The note goes once all is there.

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from support import contract
-from support.client import CANCELLED, FAILED, UNREACHABLE, USAGE
+from support.client import CANCELLED, FAILED, NOT_FOUND, UNREACHABLE, USAGE
 from support.photographs import write_blank_dataset
 from support.waiting import PATIENCE_S, wait_for
 
@@ -231,6 +231,14 @@ def test_what_has_no_place_is_not_asked_for(client, daemon, tmp_path):
     assert "File too large" in said and f"{job} is cancelled" in said
     wait_for(lambda: made.record["state"] == "cancelled")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closed", "closed-too", "p.json"]
+
+
+def test_folders_that_nothing_comes_into_are_taken_back(client, daemon, tmp_path):
+    (tmp_path / "p.json").write_text(json.dumps(contract.example("PathFile")))
+    (tmp_path / "there").mkdir()
+    for out in ("new/deep//frames/", tmp_path / "there/new/deep", f"deep/{'x' * 300}"):
+        client.run("path", "none", "p.json", "-o", out, code=FAILED if "xx" in str(out) else NOT_FOUND)
+        assert sorted(path.name for path in tmp_path.rglob("*")) == ["p.json", "there"]
 
 
 def train_slowly(client, daemon, *options):
