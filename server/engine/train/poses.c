@@ -12,13 +12,14 @@
 #define STREAM 0x706f736500000000u
 #define MEASURED_AT 0.15 // of the schedule: whether cameras gain by being moved
 #define LAST_AT 0.85     // the field has the rest to follow the last moves
-#define TURNS 24         // evenly from one to the other
+#define TURNS 24         // evenly from one to the other, at most
 #define MEASURING 6      // passes in which held-out cameras are sought, before one that scores them
 #define MEASURED_SIDE 2  // pixels, of squares
 #define MEASURED_SIGHTS 128
 #define MEASURED_SHARE 0.02 // of the rays that are trained on: what measuring takes, of some of the
 #define FEWEST 3            // held-out photographs, these at least
 #define MOVED_SIGHTS 192
+#define MOVED_SHARE 0.5 // of the rays trained on in a time: what turns may render
 #define DAMPING 0.01
 #define FARTHEST 2.0     // pixels that a turn may move a camera by, about
 #define FOCAL_STEP 0.005 // of a focal length, in a turn
@@ -58,12 +59,22 @@ struct rn_camera rn_trainer_pose(const struct rn_trainer *t, int frame,
     return rn_pose_move(camera, by, t->field->bounds.radius);
 }
 
+// How many turns there are: fewer of many photographs where the time is limited.
+static int turn_count(const struct rn_trainer *t) {
+    const struct rn_train_config *config = &t->field->config;
+    double rays = (double)t->train.frame_count * MOVED_SIGHTS * (1 + 2.0 * RN_POSE_UNKNOWNS);
+    double most = MOVED_SHARE * rn_schedule_rays(config, &t->progress) / rays;
+    return config->max_seconds > 0 ? (int)fmin(TURNS, fmax(1, most)) : TURNS;
+}
+
 bool rn_trainer_poses_due(const struct rn_trainer *t) {
     const struct rn_effect_record *record = record_of(t);
     double done = rn_schedule_done(&t->field->config, &t->progress);
-    if (!record->decided) return !t->poses.gain_known && done >= MEASURED_AT;
-    return record->on && t->poses.turns < TURNS &&
-           done >= MEASURED_AT + (LAST_AT - MEASURED_AT) * t->poses.turns / TURNS;
+    if (!(done >= MEASURED_AT)) return false;
+    if (!record->decided) return !t->poses.gain_known;
+    int turns = record->on ? turn_count(t) : 0;
+    return t->poses.turns < turns &&
+           done >= MEASURED_AT + (LAST_AT - MEASURED_AT) * t->poses.turns / turns;
 }
 
 // ---- a pass ----
