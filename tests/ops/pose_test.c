@@ -215,6 +215,35 @@ START_TEST(right_poses_are_left_alone) {
 }
 END_TEST
 
+// Of a time: half as many rays as are trained on. Of a number of steps: as ever.
+START_TEST(moves_take_a_share_of_the_time) {
+    struct capture c = off_by(3);
+    struct rn_train_config config = config_of(&c);
+    config.effect[POSE] = RN_EFFECT_WANTED;
+    config.max_steps = 0;
+    config.max_seconds = 100;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *t = trainer_for(engine, &c.dataset, &config);
+    double turn = (double)t->train.frame_count * 192 * 15; // rays
+    t->progress.train_seconds = 84;
+    t->progress.rays = (uint64_t)(3.5 * turn / 0.5 * 0.84);
+    t->poses.turns = 2;
+    ck_assert(rn_trainer_poses_due(t));
+    t->poses.turns = 3;
+    ck_assert(!rn_trainer_poses_due(t));
+    t->progress.rays *= 10;
+    ck_assert(rn_trainer_poses_due(t));
+    t->progress.rays /= 10;
+    t->field->config.max_seconds = 0;
+    t->field->config.max_steps = 100;
+    t->progress.step = 84;
+    ck_assert(rn_trainer_poses_due(t));
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+    free(c.frames);
+}
+END_TEST
+
 static void look_at_turns(const struct rn_trainer *t, bool restored) {
     ck_assert_int_gt(t->poses.turns, restored ? 0 : 10);
 }
@@ -233,6 +262,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, slopes_are_those_of_float64);
     tcase_add_test(tests, wrong_poses_are_put_right);
     tcase_add_test(tests, right_poses_are_left_alone);
+    tcase_add_test(tests, moves_take_a_share_of_the_time);
     tcase_add_test(tests, refined_poses_go_on_from_a_checkpoint);
 }
 
