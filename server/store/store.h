@@ -203,6 +203,8 @@ enum rn_status rn_store_new_id(const char *prefix, char ret_id[RN_ID_MAX],
 
 // "DIR/" and the formatted rest; malloc. NULL when memory is short.
 char *rn_store_path(const struct rn_store *store, const char *fmt, ...) RN_PRINTF(2, 3);
+// Whether what is written still has a place: RN_ERROR_IO when the folder was moved or removed.
+enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
 // Copies the records and links the content into a new folder `target` of the same disk, as of now;
 // other threads go on meanwhile. With `scene`, an id, not NULL: that scene, its dataset and the
 // jobs of both, and nothing else.

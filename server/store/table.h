@@ -57,10 +57,6 @@ enum rn_status rn_sqlite_error(sqlite3 *db, int code, const char *what, struct r
 enum rn_status rn_store_migrate(sqlite3 *db, const char *const *scripts, int count,
                                 struct rn_error *err) RN_MUST_CHECK;
 
-// Whether what is written still has a place: RN_ERROR_IO when the folder was moved or
-// removed.
-enum rn_status rn_store_check_folder(struct rn_store *store, struct rn_error *err) RN_MUST_CHECK;
-
 // sweep.c: whether content of this id was deleted on purpose since the start; its rest may go.
 enum rn_status rn_store_was_removed(struct rn_store *store, const char *id, bool *ret_removed,
                                     struct rn_error *err) RN_MUST_CHECK;
