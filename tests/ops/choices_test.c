@@ -61,6 +61,37 @@ START_TEST(what_is_asked_for_is_on_where_it_can_be) {
 }
 END_TEST
 
+// The inner ball of unbounded space of cameras that lie as `kind` says.
+static struct rn_bounds inner_ball(struct rn_engine *engine, enum rn_capture_kind kind) {
+    struct rn_dataset place = *scaled;
+    place.lie.kind = kind;
+    place.bounds.source = RN_BOUNDS_CAMERAS;
+    struct rn_train_config config = config_for(&place);
+    config.effect[RN_EFFECT_UNBOUNDED] = RN_EFFECT_WANTED;
+    struct rn_trainer *t = trainer_for(engine, &place, &config);
+    struct rn_bounds bounds = rn_trainer_field(t)->bounds;
+    rn_trainer_destroy(&t);
+    return bounds;
+}
+
+static size_t cameras_within(const struct rn_bounds *bounds) {
+    size_t count = 0;
+    for (size_t f = 0; f < scaled->frame_count; f++)
+        count += rn_camera_distance(&scaled->frames[f].camera, bounds->centre) < bounds->radius;
+    return count;
+}
+
+// Cameras that look around from within are within; those that look at something are without.
+START_TEST(a_room_holds_its_cameras) {
+    struct rn_engine *engine = engine_with(1);
+    struct rn_bounds room = inner_ball(engine, RN_CAPTURE_ROOM);
+    struct rn_bounds outdoor = inner_ball(engine, RN_CAPTURE_OUTDOOR);
+    ck_assert_uint_eq(cameras_within(&room), scaled->frame_count);
+    ck_assert_uint_eq(cameras_within(&outdoor), 0);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // What the configuration makes of it: the network sees no direction, pictures have one cone a
 // pixel, planes one level.
 START_TEST(what_is_off_is_not_computed) {
@@ -80,6 +111,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, what_is_off_stays_off);
     tcase_add_test(tests, what_is_asked_for_is_on_where_it_can_be);
     tcase_add_test(tests, what_is_off_is_not_computed);
+    tcase_add_test(tests, a_room_holds_its_cameras);
 }
 
 int main(void) {
