@@ -253,7 +253,7 @@ START_TEST(file_write_is_atomic) {
     struct rn_error err = {0};
     enum rn_status status = rn_file_write_atomic(path, large, sizeof large, &err);
     ck_assert_int_eq(setrlimit(RLIMIT_FSIZE, &old), 0);
-    ck_assert_int_eq(status, RN_ERROR_IO);
+    ck_assert_int_eq(status, RN_ERROR_NO_SPACE);
     ck_assert_str_eq(err.where, path);
     uint8_t *bytes;
     size_t size;

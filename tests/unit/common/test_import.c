@@ -299,7 +299,7 @@ START_TEST(writes_fail) {
     struct rlimit limit = {.rlim_cur = 100, .rlim_max = 100};
     ck_assert_int_eq(setrlimit(RLIMIT_FSIZE, &limit), 0);
     enum rn_status status = import("out");
-    ck_assert_msg(status == RN_ERROR_IO, "%s", rn_status_name(status));
+    ck_assert_msg(status == RN_ERROR_NO_SPACE, "%s", rn_status_name(status));
     ck_assert(strstr(err.where, "/out/images/") != NULL);
     ck_assert(access(in_folder("out/dataset.json"), F_OK) != 0);
     ck_assert_uint_eq(problems.errors, 0);
