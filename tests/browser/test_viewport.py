@@ -272,7 +272,7 @@ return [...outside, ...narrow, ...over].map(words);"""
 
 @pytest.mark.parametrize("width", [320, 390])
 def test_on_a_phone_nothing_is_cut_off(page, fake, width):
-    """Not what closes a comparison, nor a path's time and accuracy, nor an effect's name."""
+    """Not what closes a comparison, nor a path's time and accuracy, nor an effect's name, nor what a picture shows."""
     page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
         "width": width, "height": 700, "deviceScaleFactor": 2, "mobile": True})
     api = fake("busy")
@@ -283,6 +283,8 @@ def test_on_a_phone_nothing_is_cut_off(page, fake, width):
     page.press("Whole turn")
     page.says("30.5 dB", ".qualities")
     assert page.run(CUT_OFF) == []
+    assert page.run("return [...document.querySelectorAll('.segments')]"
+                    ".filter((row) => row.scrollWidth > row.clientWidth).map((row) => row.innerText);") == []
     label, close, lane = page.run(
         "return args.map((css) => document.querySelector(css).getBoundingClientRect().toJSON());",
         ".wipe-bar label", ".wipe-bar [aria-label='Close the comparison']", ".lane")
