@@ -342,6 +342,28 @@ def test_preview_goes_at_the_paths_own_speed(scene):
     scene.press("Stop")
 
 
+def test_a_preview_waits_for_the_daemon_and_goes_on_with_it(page, fake):
+    """Its clock stands while what it would show cannot be drawn, which the picture says."""
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Whole turn")
+    page.press("Preview")
+    at = "return Number(document.querySelector('.scrub').value);"
+    page.until(lambda: page.run(at) > 0.1, "the preview to begin")
+    api.stop()
+    page.says("The daemon does not answer", ".cover-note")
+    page.find("[data-status=offline]")
+    stood = page.run(at)
+    frames = "await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));"
+    assert page.run(frames + at) == stood
+    page.button("Stop")
+    fake("busy", api.server_address[1])
+    page.find("[data-status=online]")
+    page.until(lambda: page.run(at) != stood, "the preview to go on")
+    page.press("Stop")
+    assert page.complaints() == []
+
+
 def measured(*points):
     """A curve of 200x200 whose points are a tolerance, milliseconds, and PSNR."""
     return {

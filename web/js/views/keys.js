@@ -38,7 +38,7 @@ import {needsSpace, readPathFiles, writePathFiles} from '../pathfile.js';
 import {OUTPUTS} from '../outputs.js';
 import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
-import {putJob} from '../store.js';
+import {putJob, state} from '../store.js';
 import {createKeyFields} from './keyfields.js';
 import {createQuality} from './pathquality.js';
 import {createTimeline} from './timeline.js';
@@ -269,16 +269,15 @@ export function createKeys(scene, size, view, signal) {
     text(play, 'Preview');
   }
 
-  /** At the path's own speed; a loop goes on until it is stopped. */
+  /** At the path's own speed, while the daemon is there to draw it; a loop goes on until it is stopped. */
   function preview() {
-    const whole = duration(path);
-    const from = at !== null && at < whole - 0.05 ? at : 0;
-    let began = null;
+    let time = at !== null && at < duration(path) - 0.05 ? at : 0;
+    let last = null;
     text(play, 'Stop');
     const tick = (now) => {
-      began ??= now - 1000 * from;
-      let time = (now - began) / 1000;
-      if (signal.aborted || problemOf(path) || time > whole && !path.loop) {
+      if (state.connection.status === 'online') time += (now - (last ?? now)) / 1000;
+      last = now;
+      if (signal.aborted || problemOf(path) || time > duration(path) && !path.loop) {
         stopPreview();
         return;
       }
