@@ -61,6 +61,7 @@ const struct rn_route rn_api_routes[] = {
     {GET, "/v1/jobs/{id}/frames.tar", OF_JOB, 0, rn_get_frames_tar, NULL},
     {GET, "/v1/jobs/{id}/export", 0, 0, rn_get_export, NULL},
     {GET, "/v1/jobs/{id}/film", OF_JOB, 0, rn_get_film, NULL},
+    {GET, "/v1/jobs/{id}/camera-path", 0, 0, rn_get_job_path, NULL},
     {GET, "/v1/jobs/{id}/report", 0, 0, rn_get_report, NULL},
     {GET, "/v1/jobs/{id}/events", 0, 0, rn_follow_job, NULL},
     {GET, "/v1/events", 0, 0, rn_follow_all, NULL},

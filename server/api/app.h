@@ -169,6 +169,7 @@ RN_HANDLER(rn_list_frames); // frames.c
 RN_HANDLER(rn_get_frame);
 RN_HANDLER(rn_get_frames_tar);
 RN_HANDLER(rn_get_film);
+RN_HANDLER(rn_get_job_path);
 RN_HANDLER(rn_get_report); // report.c
 RN_HANDLER(rn_follow_job); // events.c
 RN_HANDLER(rn_follow_all);

@@ -189,6 +189,23 @@ void rn_get_job(void *context, struct rn_request *request, struct rn_reply *repl
     if (!rn_api_failed(status, &err, reply)) rn_api_json(reply, 200, json);
 }
 
+void rn_get_job_path(void *context, struct rn_request *request, struct rn_reply *reply) {
+    struct rn_app *app = context;
+    struct rn_error err = {0};
+    struct rn_job_row row;
+    enum rn_status status = rn_store_resolve(app->store, &rn_jobs_table, RN_ID_JOB,
+                                             rn_request_param(request, 0), &row, &err);
+    if (rn_api_failed(status, &err, reply)) return;
+    if (row.type == RN_JOB_PATH && row.source != NULL) {
+        rn_api_json(reply, 200, row.source);
+        row.source = NULL; // the reply's
+    } else {
+        rn_reply_problem(reply, RN_PROBLEM_NOT_FOUND, "a %s job has no camera path",
+                         rn_job_type_names[row.type]);
+    }
+    rn_row_finish(&rn_jobs_table, &row);
+}
+
 void rn_list_metrics(void *context, struct rn_request *request, struct rn_reply *reply) {
     struct rn_app *app = context;
     struct rn_error err = {0};

@@ -60,6 +60,20 @@ def test_a_path_tells_what_its_keys_ask_for(daemon):
         == "shutter"
 
 
+def test_the_path_of_a_job_is_told(daemon):
+    """That which was sent with it, and that which was kept; other jobs have none."""
+    sent = path(LENS, {"shutter": 0.5})
+    daemon.post("/v1/camera-paths", {"name": "kept", "path": sent})
+    for given in ({"camera_path": sent}, {"path": "kept"}):
+        job = daemon.wait(daemon.submit(type="path", scene="scene", **given))
+        reply = daemon.get(f"/v1/jobs/{job['id']}/camera-path")
+        assert reply.status == 200 and [key.get("focus") for key in reply.json["keys"]] == [3, None]
+        assert reply.json["keys"][1]["shutter"] == 0.5
+    training = daemon.get("/v1/jobs?type=train").json["items"][0]["id"]
+    reply = daemon.get(f"/v1/jobs/{training}/camera-path")
+    assert reply.status == 404 and reply.json["detail"] == "a train job has no camera path"
+
+
 @pytest.mark.parametrize("key", [{"aperture": 0.1}, {"shutter": 2}, {"white_balance": 12}])
 def test_a_key_that_cannot_be_is_refused(daemon, key):
     reply = daemon.post("/v1/jobs", {"type": "path", "scene": "scene",

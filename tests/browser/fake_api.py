@@ -361,6 +361,11 @@ class Handler(BaseHTTPRequestHandler):
             data = world.frames[key][0]
         self.reply(200, data, "image/gif")
 
+    def path_of_job(self, world, key):
+        if not world.routes.get(key):
+            raise Refusal(404, "Not found", "a job without a camera path")
+        self.reply(200, world.routes[key])
+
     def frames_tar(self, world, key):
         out = io.BytesIO()
         with world.lock, tarfile.open(fileobj=out, mode="w") as tar:
@@ -442,6 +447,7 @@ ROUTES = [
     (rf"GET /v1/jobs/{ID}/report", "report"),
     (rf"GET /v1/jobs/{ID}/frames", "frames"),
     (rf"GET /v1/jobs/{ID}/film", "film"),
+    (rf"GET /v1/jobs/{ID}/camera-path", "path_of_job"),
     (rf"GET /v1/jobs/{ID}/frames/(\d+)", "frame"),
     (rf"GET /v1/jobs/{ID}/frames\.tar", "frames_tar"),
     (r"POST /v1/camera-paths", "keep_path"),

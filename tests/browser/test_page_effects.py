@@ -90,6 +90,17 @@ def test_a_key_s_effects_reach_picture_and_path(scene):
     assert moving and all("aperture" not in body["optics"] for body in moving)
     scene.press("Render the path")
     scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
+    scene.until(lambda: "aperture" in told(scene), "what the path's keys asked for")
+    asked_for = told(scene)
+    assert asked_for["aperture"] == "off to 0.25 width" and asked_for["focus"] == "off to 3 away"
+    assert asked_for["exposure"] == "off to 0.5 stops" and "shutter" not in asked_for
+
+
+def told(page):
+    """What the page of a job says that was asked for, by name."""
+    return page.run("""
+return Object.fromEntries([...document.querySelectorAll('.facts > div')].map(
+    (row) => [...row.children].map((e) => e.textContent)));""")
 
 
 def test_a_key_s_lens_goes_to_all_keys(scene):

@@ -201,6 +201,8 @@ export const api = {
   act: (id, verb) => json('POST', `v1/jobs/${name(id)}/${verb}`),
   frames: (id, signal) => list(`v1/jobs/${name(id)}/frames`, signal),
   frame: (id, index, signal) => blob(`v1/jobs/${name(id)}/frames/${index}`, {signal}),
+  /** The document of a path job's camera path. */
+  pathOfJob: (id, signal) => json('GET', `v1/jobs/${name(id)}/camera-path`, {signal}),
   paths: (signal) => list('v1/camera-paths', signal),
   path: (id, signal) => json('GET', `v1/camera-paths/${name(id)}`, {signal}),
   /** Makes a token or a link; its secret is in this answer alone. */

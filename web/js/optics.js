@@ -12,6 +12,13 @@ const DAYLIGHT_K = 6504;
 export const opticsOf = (values) => Object.fromEntries(
     OPTICS.map(([name]) => [name, Number(values?.[name])]).filter(([, value]) => value));
 
+/** What any of the keys asks for, in words without units: "0.1", "off to 0.1". */
+export const effectsOfKeys = (keys) => Object.fromEntries(
+    OPTICS.map(([name]) => {
+      const values = keys.map((key) => Number(key[name]) || 0).sort((a, b) => a - b);
+      return [name, [...new Set([values[0], values.at(-1)])].map((x) => x || 'off').join(' to ')];
+    }).filter(([, words]) => words !== 'off'));
+
 /** Between two keys' effects, as the daemon goes over from one to the other. */
 export function blendOptics(a, b, u) {
   const mix = (p, q) => p + (q - p) * u;

@@ -26,6 +26,7 @@ import {framesPanel} from './frames.js';
 import {ladderPanel} from './ladder.js';
 import {doctorReport} from './stability.js';
 import {trainingPanel} from './training.js';
+import {effectsOfKeys, OPTICS} from '../optics.js';
 import {jobButtons, runnerWords} from './jobs.js';
 
 export async function jobView(root, {id, signal}) {
@@ -90,6 +91,7 @@ const DEFAULTS = {
   ingest: {split: 'as in the files', max_size: 'as they are', scales: 1, alpha: 'premultiplied'}
 };
 const UNIT = {
+  ...Object.fromEntries(OPTICS.map(([name, , unit]) => [name, ` ${unit}`])),
   max_time_s: ' s',
   until_psnr: ' dB',
   fps: ' /s',
@@ -103,10 +105,15 @@ const flat = (options) =>
             ([key, value]) => value && typeof value === 'object' && !Array.isArray(value) ?
                 flat(value) :
                 [[key, value]]);
-function askedFor(job) {
+/** @param {any} job @param {any} path the document of a path job, or null */
+function askedFor(job, path) {
   const given =
       flat(job.options).filter(([, value]) => value !== null && value !== 0 && value !== '');
-  const rows = {...(DEFAULTS[job.type] ?? {}), ...Object.fromEntries(given)};
+  const rows = {
+    ...(DEFAULTS[job.type] ?? {}),
+    ...effectsOfKeys(path?.keys ?? []),
+    ...Object.fromEntries(given)
+  };
   return Object.entries(rows).map(
       ([key, value]) =>
           [key.replace(/_s$/, '').replaceAll('_', ' '),
@@ -137,7 +144,8 @@ function statePanel(job, signal) {
 
 function aboutJob(job, signal) {
   const box = h('div');
-  watch(() => {
+  let path = null;
+  const show = () => {
     const now = find(state.jobs, job.id) ?? job;
     fill(
         box, facts([
@@ -171,8 +179,14 @@ function aboutJob(job, signal) {
           ],
           ['Id', h('code', null, now.id)]
         ]),
-        h('h3', null, 'Asked for'), facts(askedFor(now)));
-  }, signal);
+        h('h3', null, 'Asked for'), facts(askedFor(now, path)));
+  };
+  watch(show, signal);
+  if (job.type === 'path')
+    api.pathOfJob(job.id, signal).then((document) => {
+      path = document;
+      show();
+    }, () => {});
   return panel('About', null, box);
 }
 
