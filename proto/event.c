@@ -37,6 +37,7 @@ static const struct rn_field_spec info[] = {
     RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),
     RN_F_TEXTS(S, available_kernels, available_kernel_count, RN_REQUIRED),
     RN_F_INT(S, threads, RN_REQUIRED, 0, INFINITY),
+    RN_F_BOOL(S, films, 0),
     RN_F_NUMBER(S, uptime_s, RN_REQUIRED, 0, INFINITY),
     RN_F_INT(S, memory_limit_bytes, RN_REQUIRED, 0, INFINITY),
     RN_F_JSON(S, roots, RN_REQUIRED),

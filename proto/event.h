@@ -31,6 +31,7 @@ struct rn_info {
     char available_kernels[16][32];
     size_t available_kernel_count;
     int64_t threads;
+    bool films; // can be made of a path's frames
     double uptime_s;
     int64_t memory_limit_bytes;
     char *roots; // JSON array of strings, owned

@@ -301,7 +301,7 @@ static const struct rn_table grant_table = RN_TABLE(S, "grant", grant);
 static const struct rn_field_spec info[] = {
     RN_F_TEXT(S, device, RN_REQUIRED, NULL),    RN_F_TEXT(S, device_name, RN_REQUIRED, NULL),
     RN_F_TEXT(S, kernels, RN_REQUIRED, NULL),   RN_F_TEXT(S, available, RN_REQUIRED, NULL),
-    RN_F_INT(S, threads, RN_REQUIRED, 1, 1024),
+    RN_F_INT(S, threads, RN_REQUIRED, 1, 1024), RN_F_BOOL(S, films, 0),
 };
 static const struct rn_table info_table = RN_TABLE(S, "info", info);
 #undef S

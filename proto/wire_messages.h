@@ -59,7 +59,7 @@ enum rn_wire_type {
     RN_WIRE_SAID,       // for the job's log  rn_wire_empty; blob: the text
 };
 
-#define RN_WIRE_PROTOCOL 7
+#define RN_WIRE_PROTOCOL 8
 #define RN_WIRE_ALIVE_S 2
 
 struct rn_wire_empty {
@@ -280,6 +280,7 @@ struct rn_wire_file {
 struct rn_wire_info {
     char device[16], device_name[128], kernels[32], available[128]; // available: comma separated
     int64_t threads;
+    bool films; // the module that makes them is installed
 };
 
 // The table of a type; NULL for an unknown one.

@@ -56,6 +56,7 @@ void rn_get_info(void *context, struct rn_request *request, struct rn_reply *rep
     split_kernels(device.available, &info);
     if (rn_control_spreads(app->control)) snprintf(info.executor, sizeof info.executor, "slurm");
     info.threads = device.threads;
+    info.films = device.films;
     info.uptime_s = (double)(rn_clock_ns() - app->start_ns) * 1e-9;
     info.memory_limit_bytes = app->memory_limit_bytes;
     info.limits = (struct rn_limits_record){

@@ -147,6 +147,7 @@ void rn_control_stats(struct rn_control *control, struct rn_control_stats *ret_s
 struct rn_runner_device {
     char device[16], name[128], kernels[32], available[128];
     int64_t threads;
+    bool films; // can be made of a path's frames
 };
 // Whether scenes are trained on other machines.
 bool rn_control_spreads(const struct rn_control *control);

@@ -450,6 +450,7 @@ static void on_info(struct rn_control *control, struct rn_runner *runner,
     snprintf(device->kernels, sizeof device->kernels, "%s", info->kernels);
     snprintf(device->available, sizeof device->available, "%s", info->available);
     device->threads = info->threads;
+    device->films = info->films;
     runner->state = RN_RUNNER_ENDING;
 }
 

@@ -13,6 +13,7 @@
 #include "common/base/log.h"
 #include "proto/join.h"
 #include "server/engine/engine.h"
+#include "server/runner/field/film.h"
 #include "server/runner/field/host.h"
 #include "server/runner/field/ranks.h"
 #include "server/runner/ingest/ingest.h"
@@ -38,7 +39,7 @@ static int probe(int fd) {
         struct rn_device_info device;
         rn_engine_describe(engine, &device);
         if (*device.checked) fprintf(stderr, "device: %s\n", device.checked);
-        struct rn_wire_info info = {.threads = device.threads};
+        struct rn_wire_info info = {.threads = device.threads, .films = rn_film_is_installed()};
         snprintf(info.device, sizeof info.device, "%s", device.device);
         snprintf(info.device_name, sizeof info.device_name, "%s", device.name);
         snprintf(info.kernels, sizeof info.kernels, "%s", device.kernels);

@@ -53,6 +53,7 @@ def test_mp4_begins_with_its_index(daemon, codec):
     job, reply = film(daemon, codec)
     assert job["result"]["film"] == "film.mp4" and job["result"]["frames"] == 13
     assert reply.headers["Content-Type"] == "video/mp4"
+    assert daemon.get("/v1/info").json["films"] is True
     names = boxes(reply.body)
     assert names[0] == "ftyp" and names.index("moov") < names.index("mdat")
     assert (b"avc1" if codec == "h264" else b"av01") in reply.body
@@ -122,4 +123,5 @@ def test_without_the_module_no_frame_is_rendered(make_daemon, photographs):
     assert daemon.get(f"/v1/jobs/{job['id']}/frames").json["items"] == []
     plain = daemon.wait(daemon.submit(type="path", scene="scene", camera_path=PATH))
     assert plain["state"] == "succeeded" and plain["result"]["frames"] == 13
+    assert daemon.get("/v1/info").json["films"] is False
     assert daemon.get(f"/v1/jobs/{job['id']}/film").status == 404

@@ -68,7 +68,7 @@ def scene(program, dataset, tmp_path):
 
 def test_probe_describes_the_device(program):
     with Runner(program, "probe") as runner:
-        assert runner.receive()[1]["protocol"] == 7
+        assert runner.receive()[1]["protocol"] == 8
         name, info, _ = runner.receive()
         assert name == "info" and info["device"] == "cpu" and info["threads"] >= 1
         assert runner.receive() is None

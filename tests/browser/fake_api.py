@@ -131,6 +131,7 @@ class Handler(BaseHTTPRequestHandler):
                 "kernels": "avx512",
                 "available_kernels": ["generic", "avx2", "avx512"],
                 "threads": 2,
+                "films": world.films,
                 "uptime_s": 4211.0,
                 "memory_limit_bytes": 8 << 30,
                 "roots": [],

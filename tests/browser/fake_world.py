@@ -48,6 +48,7 @@ class World:
         self.uploads, self.parts, self.line_dead_below = {}, [], 0
         self.untrained = False  # a scene of no steps is rendered all the same
         self.curve = None  # of every scene
+        self.films = True  # whether the module that makes them is installed
         self.effects = None  # likewise: what they bring
         self.report = None  # of every ladder
         self.incidents = []  # of every scene

@@ -462,6 +462,28 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
     assert scene.complaints() == []
 
 
+def test_a_path_is_made_into_a_film_where_films_are_made(page, fake):
+    """As the client makes one of `-o film.mp4`; frames are there for who chooses them, or has nothing else."""
+    api = fake("busy")
+    page.open(api.url + "#/scene/sphere-draft")
+    page.press("Whole turn")
+    select = page.field("Made into")
+    assert select.get_attribute("value") == "h264" and page.field("Film quality")
+    before = len(api.world.jobs)
+    page.type(page.field("Frames"), 2)
+    page.press("Render the path")
+    page.until(lambda: len(api.world.jobs) > before, "a job")
+    assert api.world.jobs[0]["options"]["film"] == "h264" and "format" not in api.world.jobs[0]["options"]
+    api.world.films = False
+    page.open(api.url + "#/scene/sphere-draft")
+    select = page.field("Made into")
+    assert select.get_attribute("value") == "png" and "film" not in select.text
+    page.press("Render the path")
+    page.until(lambda: len(api.world.jobs) > before + 1, "a job of frames")
+    assert api.world.jobs[0]["options"]["format"] == "png" and "film" not in api.world.jobs[0]["options"]
+    assert page.complaints() == []
+
+
 def test_the_address_holds_the_camera(scene):
     scene.find(".stage").send_keys(Keys.ARROW_LEFT * 5)
     word = scene.until(

@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "common/image/image.h"
@@ -14,22 +15,30 @@
 // Threads that an encoder made do not survive its code.
 #define MODULE_FLAGS (RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE)
 
-// Beside the running program, of one build with it; else where it is installed.
-static void *open_module(void) {
-    char program[1024], path[1100];
+// Beside the running program, of one build with it; else where it is installed. `path` holds the
+// first of the two.
+static const char *find_module(char *path, size_t size) {
+    char program[1024];
     const char *given = getenv("RIPNERF_FILM_MODULE");
-    if (given) return dlopen(given, MODULE_FLAGS);
-    ssize_t size = readlink("/proc/self/exe", program, sizeof program - 1);
-    program[size > 0 ? size : 0] = '\0';
+    if (given) return given;
+    ssize_t length = readlink("/proc/self/exe", program, sizeof program - 1);
+    program[length > 0 ? length : 0] = '\0';
     char *slash = strrchr(program, '/');
     if (slash) *slash = '\0';
-    snprintf(path, sizeof path, "%s/film/ripnerf-film.so", program);
-    void *module = access(path, R_OK) == 0 ? dlopen(path, MODULE_FLAGS) : NULL;
-    return module ? module : dlopen(RN_MODULE_FOLDER "/ripnerf-film.so", MODULE_FLAGS);
+    snprintf(path, size, "%s/film/ripnerf-film.so", program);
+    return access(path, R_OK) == 0 ? path : RN_MODULE_FOLDER "/ripnerf-film.so";
+}
+
+bool rn_film_is_installed(void) {
+    char path[1100];
+    struct stat about;
+    const char *file = find_module(path, sizeof path);
+    return stat(file, &about) == 0 && S_ISREG(about.st_mode) && access(file, R_OK) == 0;
 }
 
 static enum rn_status load(const struct rn_film_module **ret_module, struct rn_error *err) {
-    void *module = open_module();
+    char path[1100];
+    void *module = dlopen(find_module(path, sizeof path), MODULE_FLAGS);
     const struct rn_film_module *table = module ? dlsym(module, RN_FILM_SYMBOL) : NULL;
     const char *why = table ? NULL : dlerror();
     if (!table)

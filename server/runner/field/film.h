@@ -22,6 +22,8 @@ struct rn_film_order {
 // at all. RN_ERROR_UNSUPPORTED: the module or the encoder is not installed; RN_ERROR_CANCELLED:
 // keep_going said so.
 enum rn_status rn_film_make(const struct rn_film_order *order, struct rn_error *err) RN_MUST_CHECK;
+// Whether the module is there, which is not loaded for that.
+bool rn_film_is_installed(void);
 // Whether films can be made here at all: RN_ERROR_UNSUPPORTED says what is missing.
 enum rn_status rn_film_check(struct rn_error *err) RN_MUST_CHECK;
 // "film.mp4" of a codec.

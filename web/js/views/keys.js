@@ -478,6 +478,16 @@ function keyRow(first, host) {
   return {node, update, remove: () => gone.abort()};
 }
 
+/** What a path is made into, the first one where nothing was chosen. */
+const FILMS = [
+  ['h264', 'film, MP4 H.264'], ['av1', 'film, MP4 AV1'], ['vp9', 'film, WebM VP9'],
+  ['gif', 'film, GIF']
+];
+const FRAMES = [
+  ['png', 'frames, PNG'], ['png16', 'frames, PNG of 16 bits'], ['jpeg', 'frames, JPEG'],
+  ['exr', 'frames, EXR with depth and normals']
+];
+
 /**
  * Frames per second, size, length, interpolation, loop, output; what is made of them is kept under
  * `madeKey`, as the path is.
@@ -525,11 +535,8 @@ function optionsForm(path, madeKey, change) {
   const film = field(
       'Made into',
       h('select', null,
-        [
-          ['', 'frames, PNG'], ['png16', 'frames, PNG of 16 bits'], ['jpeg', 'frames, JPEG'],
-          ['exr', 'frames, EXR with depth and normals'], ['h264', 'film, MP4 H.264'],
-          ['av1', 'film, MP4 AV1'], ['vp9', 'film, WebM VP9'], ['gif', 'film, GIF']
-        ].map(([value, label]) => h('option', {value}, label))),
+        [...(state.info?.films ? FILMS : []), ...FRAMES].map(
+            ([value, label]) => h('option', {value}, label))),
       {pointer: '/options/film'});
   const quality = field(
       'Film quality', h('input', {type: 'number', min: 0, max: 100, value: 75}),
@@ -537,7 +544,7 @@ function optionsForm(path, madeKey, change) {
   const jpegQuality = field(
       'JPEG quality', h('input', {type: 'number', min: 1, max: 100, value: 90}),
       {pointer: '/options/jpeg_quality'});
-  const isFilm = () => ['h264', 'av1', 'vp9', 'gif'].includes(film.control.value);
+  const isFilm = () => FILMS.some(([value]) => value === film.control.value);
   const showMade = () => {
     quality.node.hidden = !isFilm();
     jpegQuality.node.hidden = film.control.value !== 'jpeg';
@@ -546,6 +553,7 @@ function optionsForm(path, madeKey, change) {
   const made = {film, quality, jpegQuality, output};
   for (const [name, value] of Object.entries(readJson(madeKey) ?? {}))
     if (made[name]) made[name].control.value = value;
+  film.control.value ||= film.control.options[0].value;
   for (const {node} of Object.values(made))
     node.addEventListener('change', () => {
       showMade();
@@ -557,7 +565,7 @@ function optionsForm(path, madeKey, change) {
     const made = film.control.value;
     if (isFilm()) return {film: made, video_quality: Number(quality.control.value)};
     if (made === 'jpeg') return {format: made, jpeg_quality: Number(jpegQuality.control.value)};
-    return made ? {format: made} : {};
+    return {format: made};
   };
   interpolation.control.onChange(() => {
     change({interpolation: interpolation.control.value});

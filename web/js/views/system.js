@@ -29,6 +29,10 @@ export function systemView(root, {signal}) {
                                                       ''}`
                 ],
                 ['Threads', whole(info.threads)],
+                [
+                  'Films', info.films ? 'MP4, WebM and GIF' :
+                                        'none, but frames: ripnerf-film.so is not installed'
+                ],
                 ...(info.executor ? [['Trains on', 'a Slurm cluster; jobs tell where']] : []),
                 [
                   'Memory for scenes',
