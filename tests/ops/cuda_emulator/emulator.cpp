@@ -29,18 +29,6 @@ void emu::maybe_lose() {
     if (file && ++launches == CHECKED + 3 && unlink(file) == 0) sticky = cudaErrorIllegalAddress;
 }
 
-static const float *all_halves() {
-    static float values[65536];
-    for (uint32_t i = 0; i < 65536; i++) {
-        uint16_t bits = (uint16_t)i;
-        _Float16 h;
-        memcpy(&h, &bits, sizeof h);
-        values[i] = (float)h;
-    }
-    return values;
-}
-const float *const emu::half_values = all_halves();
-
 void rn_emulator_order(int order, uint64_t seed) {
     emu::m.policy = (rn_emu_order)order;
     emu::m.random = seed;

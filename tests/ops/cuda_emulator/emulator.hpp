@@ -11,7 +11,6 @@
 #define RN_TESTS_EMULATOR_H
 
 #include <math.h>
-#include <setjmp.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -66,28 +65,29 @@ extern "C" unsigned char __start_rn_shared[], __stop_rn_shared[];
 
 namespace emu {
 
-enum { LANES = 32, STACK = 64 << 10, SHARED = 227 << 10 };
+// Stacks of which not all begin at the same place of a cache.
+enum { LANES = 32, STACK = (64 << 10) + 576, SHARED = 227 << 10 };
 
 struct copy {
     void *to;
     const void *from;
     int group;
 };
-struct fiber {
-    ucontext_t context;
-    jmp_buf jump;
-    std::vector<char> stack;
-    bool started = false, done;
+struct alignas(64) fiber {
     const uint64_t *waits_on; // runnable when *waits_on != waited
     uint64_t waited;
-    std::vector<copy> copies;
+    void *jump[5]; // __builtin_setjmp's: the library's saves and hides more than a fiber has
+    bool started = false, done;
     int group;
+    std::vector<copy> copies;
+    std::vector<char> stack;
+    ucontext_t context;
 };
 struct warp {
     const char *operation;
     int arrived;
     uint64_t generation;
-    uint32_t in[LANES][12], out[LANES][4];
+    uint32_t in[10][LANES], out[4][LANES];
 };
 struct machine {
     std::vector<fiber> fibers;
@@ -95,9 +95,9 @@ struct machine {
     std::vector<unsigned> order;
     const char *kernel = "", *barrier = "";
     std::function<void()> body;
-    jmp_buf scheduler;
-    unsigned first = 0, turn = 0; // places in `order`; like what follows, to outlive a longjmp
-    bool progress = false, unit_progress = false;
+    void *scheduler[5];
+    unsigned turn = 0, end = 0; // places in `order`: whose turn is next, and the part's end
+    bool progress = false;      // of the part
     unsigned current = 0, threads = 0, finished = 0, arrived = 0;
     uint64_t generation = 0, random = 1;
     rn_emu_order policy = RN_EMU_FORWARD;
@@ -112,8 +112,25 @@ extern machine m;
     abort();
 }
 
-inline void yield() {
-    if (_setjmp(m.fibers[m.current].jump) == 0) _longjmp(m.scheduler, 1);
+[[noreturn, gnu::noinline]] inline void jump(void **to) {
+    __builtin_longjmp(to, 1);
+}
+// To the next runnable thread of the part, or back to the scheduler.
+[[noreturn]] inline void next() {
+    while (m.turn < m.end) {
+        m.current = m.order[m.turn++];
+        fiber &f = m.fibers[m.current];
+        if (f.done || (f.waits_on && *f.waits_on == f.waited)) continue;
+        m.progress = true;
+        f.waits_on = NULL;
+        if (f.started) jump(f.jump);
+        f.started = true;
+        setcontext(&f.context);
+    }
+    jump(m.scheduler);
+}
+[[gnu::noinline]] inline void yield() {
+    if (__builtin_setjmp(m.fibers[m.current].jump) == 0) next();
 }
 inline void wait_for(const uint64_t *generation) {
     fiber &f = m.fibers[m.current];
@@ -162,30 +179,22 @@ inline void fiber_main() {
 }
 
 // Runs every runnable thread of a part of the order once.
-inline void run_unit(unsigned unit) {
-    m.unit_progress = false;
-    for (m.turn = m.first; m.turn < m.first + unit; m.turn++) {
-        m.current = m.order[m.turn];
-        fiber &f = m.fibers[m.current];
-        if (f.done || (f.waits_on && *f.waits_on == f.waited)) continue;
-        m.progress = m.unit_progress = true;
-        f.waits_on = NULL;
-        if (_setjmp(m.scheduler) != 0) continue;
-        if (f.started) _longjmp(f.jump, 1);
-        f.started = true;
-        setcontext(&f.context);
-    }
+[[gnu::noinline]] inline void run_part(unsigned first, unsigned count) {
+    m.progress = false;
+    m.turn = first;
+    m.end = first + count;
+    if (__builtin_setjmp(m.scheduler) == 0) next();
 }
 
-// What lies behind the shared memory that the launch asked for is still as it was.
+// What lies behind the shared memory that the launch asked for is still as it was, after all blocks.
 inline void check_beyond(size_t bytes) {
     const unsigned char *beyond = m.shared + bytes;
     if (bytes < SHARED && (*beyond != 0xff || memcmp(beyond, beyond + 1, SHARED - bytes - 1) != 0))
         die("wrote behind its shared memory");
 }
 
-inline void run_block() {
-    memset(m.shared, 0xff, sizeof m.shared);
+inline void run_block(size_t shared) {
+    memset(m.shared, 0xff, shared);
     memset(__start_rn_shared, 0xff, (size_t)(__stop_rn_shared - __start_rn_shared));
     m.finished = m.arrived = 0;
     for (warp &w : m.warps)
@@ -195,15 +204,14 @@ inline void run_block() {
         f.waits_on = NULL;
         f.group = 0;
     }
-    while (m.finished < m.threads) {
-        m.progress = false;
-        // A warp goes as far as it can before the next one begins, unless all are shuffled.
-        unsigned unit = m.policy == RN_EMU_RANDOM ? m.threads : (unsigned)LANES;
-        for (m.first = 0; m.first < m.threads; m.first += unit)
-            do
-                run_unit(unit);
-            while (m.unit_progress);
-        if (!m.progress) die("the block waits for ever");
+    // A warp goes as far as it can before the next one begins, unless all are shuffled.
+    unsigned part = m.policy == RN_EMU_RANDOM ? m.threads : (unsigned)LANES;
+    for (bool progress = true; m.finished < m.threads;) {
+        if (!progress) die("the block waits for ever");
+        progress = false;
+        for (unsigned first = 0; first < m.threads; first += part)
+            for (run_part(first, part); m.progress; run_part(first, part))
+                progress = true;
     }
 }
 
@@ -244,21 +252,38 @@ inline void launch(const char *name, dim3 grid, dim3 block, size_t shared,
     set_order();
     for (unsigned i = 0; i < m.threads; i++)
         make_fiber(m.fibers[i]);
-    for (m.index.x = 0; m.index.x < grid.x; m.index.x++) {
-        run_block();
-        check_beyond(shared);
-    }
+    memset(m.shared + shared, 0xff, SHARED - shared);
+    for (m.index.x = 0; m.index.x < grid.x; m.index.x++)
+        run_block(shared);
+    check_beyond(shared);
 }
 
-extern const float *const half_values; // of all 65536 fp16 numbers
-inline float half_value(uint32_t bits) {
-    return half_values[bits & 0xffff];
+inline float as_float(uint32_t bits) {
+    float x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
 }
-inline uint32_t half_bits(float x) {
-    _Float16 h = (_Float16)x;
-    uint16_t bits;
-    memcpy(&bits, &h, sizeof bits);
+inline uint32_t as_bits(float x) {
+    uint32_t bits;
+    memcpy(&bits, &x, sizeof bits);
     return bits;
+}
+// fp16 and back, as the machine has them; _Float16 is a call where the compiler may not take F16C for granted.
+inline float half_value(uint32_t bits) { // without branches, so that 32 are taken at once
+    uint32_t magnitude = (bits & 0x7fff) << 13, exponent = magnitude & 0x7c00 << 13;
+    uint32_t is_tiny = -(uint32_t)(exponent == 0), is_none = -(uint32_t)(exponent == 0x7c00 << 13);
+    uint32_t normal = magnitude + ((127 - 15) << 23) + (is_none & (128 - 16) << 23);
+    uint32_t tiny = as_bits(as_float(normal + (1 << 23)) - 0x1p-14f);
+    return as_float((tiny & is_tiny) | (normal & ~is_tiny) | (bits & 0x8000) << 16);
+}
+// To the nearest, ties to even.
+inline uint32_t half_bits(float x) {
+    uint32_t magnitude = as_bits(x) & 0x7fffffff, sign = as_bits(x) >> 16 & 0x8000;
+    if (magnitude > 0x7f800000) return sign | 0x7e00 | (magnitude >> 13 & 0x3ff);
+    if (magnitude >= (127 + 16) << 23) return sign | 0x7c00;
+    if (magnitude < (127 - 14) << 23) // the sum's last bits are what it is in units of 2^-24
+        return sign | (as_bits(as_float(magnitude) + 0.5f) - as_bits(0.5f));
+    return sign | (magnitude + ((uint32_t)(15 - 127) << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
 }
 
 } // namespace emu
@@ -287,13 +312,13 @@ RN_DEVICE void __threadfence() {}
 RN_DEVICE uint32_t rn_shuffle_bits(uint32_t value, int from) {
     int lane = (int)(emu::m.current % 32);
     emu::warp &w = emu::m.warps[emu::m.current / 32];
-    w.in[lane][0] = value;
-    w.in[lane][1] = (uint32_t)from & 31;
+    w.in[0][lane] = value;
+    w.in[1][lane] = (uint32_t)from & 31;
     emu::collective("shuffle", [](emu::warp &w) {
         for (int i = 0; i < 32; i++)
-            w.out[i][0] = w.in[w.in[i][1]][0];
+            w.out[0][i] = w.in[0][w.in[1][i]];
     });
-    return w.out[lane][0];
+    return w.out[0][lane];
 }
 RN_DEVICE float rn_shuffle(float value, int from) {
     uint32_t bits;
@@ -308,15 +333,15 @@ RN_DEVICE int rn_shuffle(int value, int from) {
 RN_DEVICE uint32_t rn_ballot(bool vote) {
     int lane = (int)(emu::m.current % 32);
     emu::warp &w = emu::m.warps[emu::m.current / 32];
-    w.in[lane][0] = vote;
+    w.in[0][lane] = vote;
     emu::collective("ballot", [](emu::warp &w) {
         uint32_t bits = 0;
         for (int i = 0; i < 32; i++)
-            bits |= (w.in[i][0] & 1) << i;
+            bits |= (w.in[0][i] & 1) << i;
         for (int i = 0; i < 32; i++)
-            w.out[i][0] = bits;
+            w.out[0][i] = bits;
     });
-    return w.out[lane][0];
+    return w.out[0][lane];
 }
 RN_DEVICE int rn_popcount(uint32_t bits) {
     return __builtin_popcount(bits);
@@ -348,26 +373,30 @@ RN_DEVICE float rn_high(uint32_t pair) {
 namespace emu {
 // D = A B + C of m16n8k16, the operands as the 32 lanes hold them; products exact, sums in fp32.
 inline void multiply(warp &w) {
-    static float a[16][16], b[16][8], c[16][8];
-    for (int lane = 0; lane < 32; lane++) {
+    typedef float row __attribute__((vector_size(32)));
+    static float pairs[6][2][LANES], a[16][16];
+    static row b[16], c[16];
+    for (int r = 0; r < 6; r++)
+        for (int i = 0; i < 2; i++)
+            for (int lane = 0; lane < LANES; lane++)
+                pairs[r][i][lane] = half_value(w.in[r][lane] >> (16 * i));
+    for (int lane = 0; lane < LANES; lane++) {
         int g = lane / 4, t = lane % 4;
-        const uint32_t *in = w.in[lane];
+        for (int i = 0; i < 2; i++) {
+            for (int r = 0; r < 4; r++)
+                a[g + 8 * (r & 1)][2 * t + 8 * (r >> 1) + i] = pairs[r][i][lane];
+            for (int r = 0; r < 2; r++)
+                b[2 * t + 8 * r + i][g] = pairs[4 + r][i][lane];
+        }
         for (int r = 0; r < 4; r++)
-            for (int i = 0; i < 2; i++)
-                a[g + 8 * (r & 1)][2 * t + 8 * (r >> 1) + i] = half_value(in[r] >> (16 * i));
-        for (int r = 0; r < 2; r++)
-            for (int i = 0; i < 2; i++)
-                b[2 * t + 8 * r + i][g] = half_value(in[4 + r] >> (16 * i));
-        for (int r = 0; r < 4; r++)
-            memcpy(&c[g + 8 * (r >> 1)][2 * t + (r & 1)], &in[6 + r], 4);
+            c[g + 8 * (r >> 1)][2 * t + (r & 1)] = as_float(w.in[6 + r][lane]);
     }
     for (int i = 0; i < 16; i++)
         for (int k = 0; k < 16; k++)
-            for (int j = 0; j < 8; j++)
-                c[i][j] += a[i][k] * b[k][j];
-    for (int lane = 0; lane < 32; lane++)
+            c[i] += a[i][k] * b[k];
+    for (int lane = 0; lane < LANES; lane++)
         for (int r = 0; r < 4; r++)
-            memcpy(&w.out[lane][r], &c[lane / 4 + 8 * (r >> 1)][2 * (lane % 4) + (r & 1)], 4);
+            w.out[r][lane] = as_bits(c[lane / 4 + 8 * (r >> 1)][2 * (lane % 4) + (r & 1)]);
 }
 inline void transpose(warp &w) {
     for (int lane = 0; lane < 32; lane++) {
@@ -375,10 +404,10 @@ inline void transpose(warp &w) {
         uint32_t pair = 0;
         for (int i = 0; i < 2; i++) {
             int row = 2 * t + i; // of the source; its column is g
-            uint32_t word = w.in[row * 4 + g / 2][0];
+            uint32_t word = w.in[0][row * 4 + g / 2];
             pair |= (word >> (16 * (g & 1)) & 0xffff) << (16 * i);
         }
-        w.out[lane][0] = pair;
+        w.out[0][lane] = pair;
     }
 }
 } // namespace emu
@@ -386,19 +415,22 @@ inline void transpose(warp &w) {
 RN_DEVICE void rn_mma(float (&c)[4], const uint32_t (&a)[4], uint32_t b0, uint32_t b1) {
     int lane = (int)(emu::m.current % 32);
     emu::warp &w = emu::m.warps[emu::m.current / 32];
-    memcpy(w.in[lane], a, 16);
-    w.in[lane][4] = b0;
-    w.in[lane][5] = b1;
-    memcpy(&w.in[lane][6], c, 16);
+    for (int r = 0; r < 4; r++) {
+        w.in[r][lane] = a[r];
+        w.in[6 + r][lane] = emu::as_bits(c[r]);
+    }
+    w.in[4][lane] = b0;
+    w.in[5][lane] = b1;
     emu::collective("mma", emu::multiply);
-    memcpy(c, w.out[lane], 16);
+    for (int r = 0; r < 4; r++)
+        c[r] = emu::as_float(w.out[r][lane]);
 }
 RN_DEVICE uint32_t rn_transpose(uint32_t pair) {
     int lane = (int)(emu::m.current % 32);
     emu::warp &w = emu::m.warps[emu::m.current / 32];
-    w.in[lane][0] = pair;
+    w.in[0][lane] = pair;
     emu::collective("movmatrix", emu::transpose);
-    return w.out[lane][0];
+    return w.out[0][lane];
 }
 
 RN_DEVICE void rn_copy_async(void *to, const void *from) {
