@@ -195,6 +195,20 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
     return RN_OK;
 }
 
+// A document that is a link whose file is gone is seen by its user, and not by us.
+static enum rn_status find_lost_link(const struct rn_reader *reader, struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (size_t i = 0; rn_formats[i] && status == RN_OK; i++) {
+        char *path;
+        if (asprintf(&path, "%s/%s", reader->folder, rn_formats[i]->signs[0].file) < 0)
+            return rn_error_set(err, RN_ERROR_NO_MEMORY, reader->folder, "out of memory");
+        if (rn_reader_leads_nowhere(path))
+            status = rn_error_set(err, RN_ERROR_NOT_FOUND, path, RN_LEADS_NOWHERE);
+        free(path);
+    }
+    return status;
+}
+
 static enum rn_status nothing_found(const struct rn_reader *reader, struct rn_error *err) {
     char signs[256] = "", *inner = rn_formats_find_below(reader->folder);
     enum rn_status status;
@@ -245,6 +259,7 @@ static enum rn_status read_recognised(struct rn_reader *reader, struct rn_error 
     struct rn_error why;
     enum rn_status status = rn_formats_recognise(reader->folder, found, &count, err);
     if (status) return status;
+    if (count == 0 && (status = find_lost_link(reader, err)) != RN_OK) return status;
     if (count == 0) return nothing_found(reader, err);
     while ((status = read_format(reader, found[i], &why)) == RN_ERROR_NOT_FOUND && i + 1 < count) {
         rn_problems_add(reader->problems, RN_SEVERITY_WARNING, why.where, "%s; read as %s instead",

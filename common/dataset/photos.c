@@ -116,6 +116,8 @@ static enum rn_status look_at(struct walk *walk, const char *path, int depth,
                               struct rn_error *err) {
     struct stat about;
     const char *name = strrchr(path, '/') + 1;
+    if (rn_reader_is_photo(name) && rn_reader_leads_nowhere(path))
+        rn_problems_add(walk->problems, RN_SEVERITY_ERROR, path, RN_LEADS_NOWHERE);
     if (stat(path, &about) != 0) return RN_OK;
     if (S_ISDIR(about.st_mode)) {
         const char *below = path + strlen(walk->root) + 1;

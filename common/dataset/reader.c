@@ -213,11 +213,17 @@ static enum rn_status locate(struct rn_reader *reader, const char *where, const 
     return rn_error_set(err, RN_ERROR_INVALID, where, "\"%.200s\" %s", named, fault);
 }
 
+bool rn_reader_leads_nowhere(const char *path) {
+    struct stat info;
+    return stat(path, &info) != 0 && lstat(path, &info) == 0 && S_ISLNK(info.st_mode);
+}
+
 static enum rn_status probe(const char *where, const char *path, struct rn_image_info *ret_info,
                             struct rn_error *err) {
     struct stat info;
     if (stat(path, &info) != 0)
-        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "names %s, which does not exist", path);
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "names %s, which does not exist%s", path,
+                            rn_reader_leads_nowhere(path) ? ": " RN_LEADS_NOWHERE : "");
     if (!S_ISREG(info.st_mode))
         return rn_error_set(err, RN_ERROR_INVALID, where, "names %s, which is no regular file",
                             path);

@@ -46,6 +46,10 @@ enum rn_status rn_reader_json(struct rn_reader *reader, const char *name, bool c
                               rn_reader_root read, void *context,
                               struct rn_error *err) RN_MUST_CHECK;
 
+// Whether a link stands there whose file does not.
+bool rn_reader_leads_nowhere(const char *path);
+#define RN_LEADS_NOWHERE "the link there leads nowhere; put there what it led to"
+
 // Where photographs lie in captures whose documents do not say: full size first.
 extern const char *const rn_photo_folders[RN_PHOTO_FOLDERS + 1];
 // Whether a file of this name is a photograph, by its extension.

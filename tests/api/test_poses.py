@@ -204,6 +204,11 @@ def test_the_client_asks_for_poses_where_there_are_none(make_daemon, pictures, b
     assert result.returncode == 1 and "already" in result.stderr
     result = run("import", pictures, "--name", "other", "--poses", "file")
     assert result.returncode == 4 and "holds no dataset" in result.stderr
+    (pictures / "IMG_1.jpg").rename(pictures / "away.dat")
+    (pictures / "IMG_1.jpg").symlink_to(pictures / "elsewhere.jpg")
+    result = run("validate", pictures)
+    assert result.returncode == 4 and "IMG_1.jpg: the link there leads nowhere" in result.stdout + result.stderr
+    (pictures / "IMG_1.jpg").unlink()
     (pictures / "IMG_1.jpg").write_bytes(b"no picture")
     result = run("import", pictures, "--name", "other")
     assert result.returncode == 4 and "IMG_1.jpg" in result.stderr and "--skip-bad" in result.stderr

@@ -268,6 +268,7 @@ static const struct {
     {"{\"transform_matrix\":" POSE "}", AT_FILE, "missing"},
     {"17", "transforms_train.json#/frames/1", "object"},
     {FRAME("train/none"), AT_FILE, "none.png, which does not exist"},
+    {FRAME("train/gone"), AT_FILE, "gone.png, which does not exist: the link there leads nowhere"},
     {FRAME("train/../../r_0"), AT_FILE, "\"..\""},
     {FRAME(".."), AT_FILE, "\"..\""},
     {FRAME("/etc/passwd"), AT_FILE, "absolute"},
@@ -319,6 +320,7 @@ static void put_bad_files(void) {
     put_cmyk("train/cmyk.jpg");
     in_folder("train/folder.png/x");
     ck_assert_int_eq(mkfifo(in_folder("train/pipe.png"), 0600), 0);
+    ck_assert_int_eq(symlink("nowhere.png", in_folder("train/gone.png")), 0);
 }
 
 START_TEST(bad_frame) {
@@ -427,6 +429,10 @@ END_TEST
 START_TEST(no_dataset) {
     ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_NOT_FOUND);
     ck_assert(strstr(err.text, "transforms_train.json") != NULL);
+    ck_assert_int_eq(symlink("nowhere", in_folder("transforms.json")), 0);
+    ck_assert_int_eq(rn_dataset_read(folder, NULL, &dataset, &err), RN_ERROR_NOT_FOUND);
+    ck_assert_str_eq(err.where + strlen(folder) + 1, "transforms.json");
+    ck_assert(strstr(err.text, "leads nowhere; put there what it led to") != NULL);
     ck_assert_int_eq(rn_dataset_read(in_folder("gone"), NULL, &dataset, &err), RN_ERROR_NOT_FOUND);
     put_text("file", "x");
     ck_assert_int_eq(rn_dataset_read(in_folder("file"), NULL, &dataset, &err), RN_ERROR_INVALID);
