@@ -90,10 +90,10 @@ def test_a_key_s_effects_reach_picture_and_path(scene):
     assert moving and all("aperture" not in body["optics"] for body in moving)
     scene.press("Render the path")
     scene.says("Camera path sphere-draft", "h1")  # the stand-in checks it against the contract
-    scene.until(lambda: "aperture" in told(scene), "what the path's keys asked for")
+    scene.until(lambda: "Aperture" in told(scene), "what the path's keys asked for")
     asked_for = told(scene)
-    assert asked_for["aperture"] == "off to 0.25 width" and asked_for["focus"] == "off to 3 away"
-    assert asked_for["exposure"] == "off to 0.5 stops" and "shutter" not in asked_for
+    assert asked_for["Aperture"] == "off to 0.25 width" and asked_for["Focus"] == "off to 3 away"
+    assert asked_for["Exposure"] == "off to 0.5 stops" and "Shutter" not in asked_for
 
 
 def told(page):

@@ -474,6 +474,8 @@ def test_a_path_is_made_into_a_film_where_films_are_made(page, fake):
     page.press("Render the path")
     page.until(lambda: len(api.world.jobs) > before, "a job")
     assert api.world.jobs[0]["options"]["film"] == "h264" and "format" not in api.world.jobs[0]["options"]
+    page.says("MP4 H.264", ".facts")
+    page.says("MP4 H.264, ", ".panel .row")  # the film, and how large it is
     api.world.films = False
     page.open(api.url + "#/scene/sphere-draft")
     select = page.field("Made into")

@@ -182,7 +182,7 @@ def test_the_player_plays_as_fast_as_the_path_says(page, fake):
     page.open(api.url + f"#/job/{job['id']}")
     page.until(lambda: page.all("#play-rate"), "the player")
     assert page.all("#play-rate")[0].get_attribute("value") == "7"
-    page.says("7 /s", ".facts")
+    page.says("7 a second", ".facts")
     page.says("all that the scene has", ".facts")
 
 

@@ -1,12 +1,18 @@
-// What a picture can show.
+// What a picture can show, and what a path is made into.
 import {h} from './dom.js';
 
 /** The names of the API and what they are called here, for a choice. */
 export const OUTPUTS = [
   ['rgb', 'colour'], ['depth', 'depth'], ['alpha', 'opacity'], ['normal', 'normals'],
-  ['cost', 'cost: samples a pixel'], ['level', 'level of the pyramid'],
-  ['footprint', 'footprint of a pixel']
+  ['cost', 'cost', 'Samples a pixel'], ['level', 'level', 'Of the pyramid'],
+  ['footprint', 'footprint', 'Of a pixel']
 ];
+export const FILMS = [['h264', 'MP4 H.264'], ['av1', 'MP4 AV1'], ['vp9', 'WebM VP9'], ['gif', 'GIF']];
+export const FRAMES = [
+  ['png', 'PNG'], ['png16', 'PNG of 16 bits'], ['jpeg', 'JPEG'], ['exr', 'EXR with depth and normals']
+];
+/** What one of them is called. */
+export const called = (names, key) => names.find(([name]) => name === key)?.[1] ?? key;
 
 /**
  * Colours between words: what they stand for at either end.

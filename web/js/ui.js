@@ -107,7 +107,8 @@ export function choice(label, options, value, {pointer, hint} = {}) {
       h('fieldset', {class: 'field choice'}, h('legend', null, label),
         h('div', {class: 'segments'},
           options.map(
-              ([key, words], i) => [inputs[i], h('label', {'for': `${name}-${key}`}, words)])),
+              ([key, words, title], i) =>
+                  [inputs[i], h('label', {'for': `${name}-${key}`, title}, words)])),
         note);
   const control = {
     get value() { return inputs.find((input) => input.checked)?.value ?? ''; },

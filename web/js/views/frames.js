@@ -7,6 +7,7 @@ import {find, isActive, may, state, watch} from '../store.js';
 import {bytes, plural} from '../format.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
+import {called, FILMS} from '../outputs.js';
 import {action, announce, endOf, panel, toast} from '../ui.js';
 
 const KEPT_PIXELS = 48e6;  // of decoded pictures held for playing, 4 bytes each
@@ -183,7 +184,6 @@ function filmPanel(job, signal) {
   const wanted = job.options?.film;
   let shown = '';
   if (!wanted) return node;
-  node.hidden = false;
   const show = async (now) => {
     const {film, film_bytes: size} = now.result;
     const name = `${now.scene_name ?? now.id}${film.slice(film.lastIndexOf('.'))}`;
@@ -201,7 +201,7 @@ function filmPanel(job, signal) {
     fill(
         box, h('div', {class: 'screen'}, picture),
         h('div', {class: 'row'},
-          h('span', {class: 'quiet'}, `${wanted.toUpperCase()}, ${bytes(size)}`),
+          h('span', {class: 'quiet'}, `${called(FILMS, wanted)}, ${bytes(size)}`),
           action('Save film', async () => saveBlob(blob, name), {kind: 'primary'})));
   };
   watch(() => {
@@ -209,14 +209,11 @@ function filmPanel(job, signal) {
     const key = `${now.state} ${now.result?.film ?? ''}`;
     if (key === shown) return;
     shown = key;
+    node.hidden = isActive(now);
     if (now.result?.film)
       show(now).catch(toast);
     else
-      fill(
-          box,
-          h('p', {class: 'quiet', role: 'status'},
-            isActive(now) ? 'It is made once all frames are there.' :
-                            `None: the job ${endOf(now)}.`));
+      fill(box, h('p', {class: 'quiet'}, `None: the job ${endOf(now)}.`));
   }, signal);
   return node;
 }

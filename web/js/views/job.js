@@ -27,6 +27,7 @@ import {ladderPanel} from './ladder.js';
 import {doctorReport} from './stability.js';
 import {trainingPanel} from './training.js';
 import {effectsOfKeys, OPTICS} from '../optics.js';
+import {called, FILMS, FRAMES, OUTPUTS} from '../outputs.js';
 import {jobButtons, runnerWords} from './jobs.js';
 
 export async function jobView(root, {id, signal}) {
@@ -83,7 +84,7 @@ function page(job, trained, signal) {
 const DEFAULTS = {
   train: {preset: 'standard', train_split: 'train', seed: 0, device: 'auto', threads: 'all'},
   path: {
-    output: 'rgb',
+    output: 'colour',
     tolerance: '0, all that the scene has',
     supersample: 'as the scene calls for'
   },
@@ -94,10 +95,12 @@ const UNIT = {
   ...Object.fromEntries(OPTICS.map(([name, , unit]) => [name, ` ${unit}`])),
   max_time_s: ' s',
   until_psnr: ' dB',
-  fps: ' /s',
+  fps: ' a second',
   width: ' px',
   height: ' px'
 };
+const WORDS = {fps: 'frames'};
+const NAMED = {output: OUTPUTS, film: FILMS, format: FRAMES};
 /** Options of options are told as its own. */
 const flat = (options) =>
     Object.entries(options ?? {})
@@ -114,10 +117,13 @@ function askedFor(job, path) {
     ...effectsOfKeys(path?.keys ?? []),
     ...Object.fromEntries(given)
   };
-  return Object.entries(rows).map(
-      ([key, value]) =>
-          [key.replace(/_s$/, '').replaceAll('_', ' '),
-           (Array.isArray(value) ? value.join(', ') : String(value)) + (UNIT[key] ?? '')]);
+  return Object.entries(rows).map(([key, value]) => {
+    const words = (WORDS[key] ?? key.replace(/_s$/, '')).replaceAll('_', ' ');
+    return [
+      words[0].toUpperCase() + words.slice(1),
+      (Array.isArray(value) ? value.join(', ') : called(NAMED[key] ?? [], value)) + (UNIT[key] ?? '')
+    ];
+  });
 }
 
 function statePanel(job, signal) {

@@ -35,7 +35,7 @@ import {
   toast
 } from '../ui.js';
 import {needsSpace, readPathFiles, writePathFiles} from '../pathfile.js';
-import {OUTPUTS} from '../outputs.js';
+import {FILMS, FRAMES, OUTPUTS} from '../outputs.js';
 import {createPathStore} from '../pathstore.js';
 import {go, link} from '../router.js';
 import {putJob, state} from '../store.js';
@@ -478,16 +478,6 @@ function keyRow(first, host) {
   return {node, update, remove: () => gone.abort()};
 }
 
-/** What a path is made into, the first one where nothing was chosen. */
-const FILMS = [
-  ['h264', 'film, MP4 H.264'], ['av1', 'film, MP4 AV1'], ['vp9', 'film, WebM VP9'],
-  ['gif', 'film, GIF']
-];
-const FRAMES = [
-  ['png', 'frames, PNG'], ['png16', 'frames, PNG of 16 bits'], ['jpeg', 'frames, JPEG'],
-  ['exr', 'frames, EXR with depth and normals']
-];
-
 /**
  * Frames per second, size, length, interpolation, loop, output; what is made of them is kept under
  * `madeKey`, as the path is.
@@ -532,11 +522,10 @@ function optionsForm(path, madeKey, change) {
     id: 'path-steady',
     onchange: () => change({constantSpeed: steady.checked})
   });
+  const offer = (kind, names) => names.map(([value, label]) => h('option', {value}, `${kind}, ${label}`));
   const film = field(
       'Made into',
-      h('select', null,
-        [...(state.info?.films ? FILMS : []), ...FRAMES].map(
-            ([value, label]) => h('option', {value}, label))),
+      h('select', null, state.info?.films ? offer('film', FILMS) : null, offer('frames', FRAMES)),
       {pointer: '/options/film'});
   const quality = field(
       'Film quality', h('input', {type: 'number', min: 0, max: 100, value: 75}),
