@@ -267,6 +267,12 @@ def test_what_is_wrong_is_told_once(blank):
     assert [words.count("is taken") for words in told[1:]] == [1, 2]  # once more with its place, untold so far
 
 
+def test_times_of_pictures_are_told_in_ms_and_s(blank):
+    told = blank.run("const {milliseconds} = await load('format.js'); return args.map(milliseconds);",
+                     None, 2.44, 240.4, 999.4, 2384)
+    assert told == ["–", "2.4 ms", "240 ms", "999 ms", "2.4 s"]
+
+
 @pytest.mark.parametrize("low", [0.2, 13.0, 29.1])
 def test_accuracy_has_a_scale_however_far_it_reaches(blank, low):
     marks = blank.run(

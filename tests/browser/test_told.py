@@ -63,7 +63,7 @@ def test_figures_say_which_views_they_are_of(page, fake):
 def test_a_dataset_tells_what_training_takes_and_shows_its_points(page, fake):
     api = fake("busy")
     api.world.find(api.world.datasets, "sphere", "dataset").update(
-        capture="outdoor", up=[0, 0, 1], bounds={"centre": [0, 0, 0], "radius": 1.5, "source": "depths"})
+        capture="outdoor", up=[-1.181e-17, 5.2e-18, 1], bounds={"centre": [0, 0, 0], "radius": 1.5, "source": "depths"})
     page.open(api.url + "#/dataset/sphere")
     page.says("from the depths that its poses give", ".facts")
     page.says("something turned around in its surroundings; up is 0, 0, 1", ".facts")
@@ -218,6 +218,13 @@ def test_the_first_steps_are_not_called_refined(page, fake):
     page.open(api.url + "#/scene/sphere-draft")
     page.says("not trained yet", ".hud")
     assert "refined" not in page.text(".hud")
+
+
+def test_a_scene_that_waits_for_its_turn_says_that_training_has_not_begun(page, fake):
+    api = fake("busy")
+    api.world.scenes[0]["steps"] = 0
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("No picture yet: training has not begun.", ".cover-note")
 
 
 def test_a_fog_is_not_refined_before_the_first_step(page, fake):

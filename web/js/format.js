@@ -38,8 +38,10 @@ export function seconds(x) {
   return `${Math.floor(all / 3600)} h ${String(Math.floor(all / 60) % 60).padStart(2, '0')} min`;
 }
 
-export const milliseconds = (x) =>
-    (known(x) ? `${x < 10 ? x.toFixed(1) : Math.round(x)} ms` : NONE);
+/** "2.4 ms", "240 ms", "2.4 s" */
+export const milliseconds = (x) => (!known(x) ? NONE :
+                                        x >= 1000 ? seconds(x / 1000) :
+                                                    `${x < 10 ? x.toFixed(1) : Math.round(x)} ms`);
 export const percent = (x) => (known(x) ? `${Math.round(100 * x)} %` : NONE);
 
 /** A point in time (ISO text or ms since 1970) beside now: "3 min ago". */

@@ -133,8 +133,7 @@ export function report(found, open = false) {
 }
 
 const three = (numbers) => numbers.map((x) => Number(x.toPrecision(4))).join(', ');
-const range = ({min, max}) =>
-    (min === max ? min.toPrecision(3) : `${min.toPrecision(3)} to ${max.toPrecision(3)}`);
+const range = ({min, max}) => [...new Set([min.toPrecision(3), max.toPrecision(3)])].join(' to ');
 
 /** What a training with `standard` takes: by formula, and by those that have ended here. */
 export function expected(formula, past) {
@@ -186,7 +185,8 @@ function about(dataset, words) {
               three(dataset.bounds.centre)}), ${titleOf(words.bounds, dataset.bounds.source)}`
         ],
         ...(dataset.capture ? [[
-          'Capture', `${titleOf(words.captures, dataset.capture)}; up is ${three(dataset.up)}`
+          'Capture', `${titleOf(words.captures, dataset.capture)}; up is ${
+            three(dataset.up.map((x) => Number(x.toFixed(3))))}`
         ]] :
                               []),
         ...(dataset.crop ? [['Crop', three(dataset.crop)]] : []),

@@ -53,7 +53,8 @@ export function qualityPanel(scene, look, signal) {
       fill(
           list,
           items.length ?
-              [worstViews(items[0].result, look), items.slice(0, 3).map(evaluation)] :
+              items.slice(0, 3).map(
+                  (item, i) => evaluation(item, i ? null : worstViews(item.result, look))) :
               h('p', {class: 'quiet'}, 'Not evaluated yet: PSNR and SSIM on the test views.'));
   };
   watch(({jobs}) => {
@@ -111,7 +112,7 @@ function worstViews({per_view: views, protocol: {split}}, look) {
       null;
 }
 
-function evaluation({job, finished_at: when, result}) {
+function evaluation({job, finished_at: when, result}, worst) {
   const p = result.protocol;
   return h(
       'div', {class: 'evaluation'},
@@ -123,7 +124,8 @@ function evaluation({job, finished_at: when, result}) {
             result.scales.map((s) => `1/${2 ** s.scale}: ${decibel(s.psnr)}`).join(' · ')) :
           null,
       h('p', {class: 'quiet'},
-        `step ${whole(p.step)}, ${milliseconds(result.render_ms_median)} a picture, ${ago(when)}`));
+        `step ${whole(p.step)}, ${milliseconds(result.render_ms_median)} a picture, ${ago(when)}`),
+      worst);
 }
 
 export function aboutPanel(scene) {

@@ -160,11 +160,11 @@ export function trainPanel(dataset, like = null) {
           h('span', {class: 'note'},
             'With neither time nor steps it ends where the preset does, or, where more time is to gain nothing, after ten times that at most.')),
         h('details', {open: [planes, footprint, seed, threads].some(({control}) => control.value !== '')},
-          h('summary', null, 'More'), planes.node, footprint.node,
-          h('div', {class: 'form-grid'}, split.node, seed.node, threads.node)),
+          h('summary', null, 'More'),
+          h('div', {class: 'form-grid'}, planes.node, footprint.node, split.node, seed.node, threads.node)),
         h('details', null, h('summary', null, 'Effects'),
           h('p', {class: 'quiet'},
             'Each is on where the photographs call for it, and costs nothing when off.'),
-          h('div', {class: 'form-grid'}, effects.map((effect) => effect.node))),
+          h('div', {class: 'form-grid lined'}, effects.map((effect) => effect.node))),
         like ? h('p', {class: 'quiet like'}, likeWords(like, was)) : null, problem, estimate.node, h('div', {class: 'row end'}, estimate.button, start)));
 }

@@ -275,7 +275,8 @@ export function createViewport(scene, cameras, host, signal) {
       h('select', {id: 'rival', onchange: () => beside()},
         h('option', {value: ''}, 'none'),
         rivals.map((other) => h('option', {value: other.id}, other.name)), marks);
-  const besideWords = h('p', {class: 'quiet', role: 'status'});  // what the picture waits for, or lacks
+  const besideWords = h('p', {class: 'hud beside', role: 'status'});  // what the picture waits for, or lacks
+  stage.append(besideWords);
   async function beside() {
     const then = /^at:/.test(rival.value) ? Number(rival.value.slice(3)) : null;
     const other = then ? {id: scene.id, name: `After ${seconds(then)}`} :
@@ -345,9 +346,9 @@ export function createViewport(scene, cameras, host, signal) {
     fill(
         cover, waits ? h('span', {class: 'spinner', 'aria-hidden': 'true'}) : null,
         h('span', null,
-          error instanceof Unreachable ?
-              AWAY :
-              `${error.title ?? 'No picture'}: ${error.detail || error.message}`));
+          error instanceof Unreachable           ? AWAY :
+              error.status === 409 && !scene.steps ? 'No picture yet: training has not begun.' :
+                                                     `${error.title ?? 'No picture'}: ${error.detail || error.message}`));
   }
   /** With the daemon a picture is asked for at once; it may take long there, which is no absence. */
   watch(({connection}) => {
@@ -442,7 +443,7 @@ export function createViewport(scene, cameras, host, signal) {
             h('div', {class: 'tool'}, cameras3d, h('label', {'for': 'show-cameras'}, 'Cameras')) :
             null,
         rivals.length || marks ?
-            h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival, besideWords) :
+            h('div', {class: 'tool'}, h('label', {'for': 'rival'}, 'Beside'), rival) :
             null,
         h('div', {class: 'tool tools-end'},
           h('button', {type: 'button', class: 'small', title: 'R', onclick: () => set(start)},
