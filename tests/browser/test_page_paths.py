@@ -342,6 +342,17 @@ def test_preview_goes_at_the_paths_own_speed(scene):
     scene.press("Stop")
 
 
+def test_a_preview_ends_where_the_path_has_one_key_left(scene):
+    scene.press("Whole turn")
+    scene.press("Preview")
+    scene.button("Stop")
+    scene.run("""
+for (let i = 0; i < 7; i++) document.querySelector('.key [aria-label="Delete key"]').click();""")
+    scene.until(lambda: scene.run("return document.querySelector('.reel > button').textContent;") == "Preview", "its end")
+    assert "NaN" not in scene.run("return document.querySelector('.clock').textContent;")
+    assert scene.complaints() == []
+
+
 def test_a_preview_waits_for_the_daemon_and_goes_on_with_it(page, fake):
     """Its clock stands while what it would show cannot be drawn, which the picture says."""
     api = fake("busy")

@@ -361,7 +361,7 @@ def test_orbit_while_training_and_pause(page, fake):
     ActionChains(page.driver).release().perform()
     page.until(lambda: levels()[-1] == "refined", "the refined picture")
     hud = page.text(".hud")
-    for part in ("refined", "step", "ms rendering", "samples"):
+    for part in ("refined", "step", "s rendering", "samples"):
         assert part in hud
     assert (
         page.run(

@@ -277,11 +277,12 @@ export function createKeys(scene, size, view, signal) {
     const tick = (now) => {
       if (state.connection.status === 'online') time += (now - (last ?? now)) / 1000;
       last = now;
-      if (signal.aborted || problemOf(path) || time > duration(path) && !path.loop) {
+      const whole = duration(path);
+      if (signal.aborted || problemOf(path) || !whole || time > whole && !path.loop) {
         stopPreview();
         return;
       }
-      time %= duration(path);
+      time %= whole;
       at = time;
       timeline.set(time);
       const {pose, fovDeg, optics} = cameraAt(path, time);
