@@ -222,8 +222,8 @@ static enum rn_status probe(const char *where, const char *path, struct rn_image
                             struct rn_error *err) {
     struct stat info;
     if (stat(path, &info) != 0)
-        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "names %s, which does not exist%s", path,
-                            rn_reader_leads_nowhere(path) ? ": " RN_LEADS_NOWHERE : "");
+        return rn_error_set(err, RN_ERROR_NOT_FOUND, where, "names %s, which does not exist%s",
+                            path, rn_reader_leads_nowhere(path) ? ": " RN_LEADS_NOWHERE : "");
     if (!S_ISREG(info.st_mode))
         return rn_error_set(err, RN_ERROR_INVALID, where, "names %s, which is no regular file",
                             path);
