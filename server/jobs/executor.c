@@ -121,7 +121,8 @@ static void local_end(struct rn_executor *executor, const struct rn_process *pro
         pid = waitpid(process->pid, &status, WNOHANG);
         if (pid == 0) nanosleep(&(struct timespec){.tv_nsec = 5000000}, NULL);
     }
-    if (pid == 0) {
+    bool by_us = pid == 0;
+    if (by_us) {
         kill(process->pid, SIGKILL);
         do
             pid = waitpid(process->pid, &status, 0);
@@ -130,6 +131,10 @@ static void local_end(struct rn_executor *executor, const struct rn_process *pro
     kill(-process->pid, SIGKILL); // programs that it started: its process group
     if (pid < 0)
         snprintf(ret_how, how_size, "lost: %s", strerror(errno));
+    else if (WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL && !by_us)
+        snprintf(ret_how, how_size,
+                 "killed by signal 9 (Killed), as the kernel does where memory runs out: "
+                 "ripnerfd --memory-limit refuses what is too large");
     else if (WIFSIGNALED(status))
         snprintf(ret_how, how_size, "killed by signal %d (%s)", WTERMSIG(status),
                  strsignal(WTERMSIG(status)));

@@ -362,7 +362,8 @@ def test_a_lost_runner_is_told(client, daemon, trained):
     client.run("cancel", job)
     _, err = waiting.communicate(timeout=PATIENCE_S)
     assert waiting.returncode == CANCELLED
-    assert "the runner ended in attempt 1: killed by signal 9 (Killed)" in err
+    assert "the runner ended in attempt 1: killed by signal 9 (Killed), as the kernel does where memory runs out" in err
+    assert "--memory-limit" in err
     assert "it is started again" in err and "interrupted" in err
     client.run("rm", "lost")
 

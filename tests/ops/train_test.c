@@ -501,6 +501,8 @@ START_TEST(memory_limit_is_said_before_it_is_taken) {
     ck_assert(rn_trainer_create(engine, scaled, &config, 1 << 20, &trainer, &err) ==
               RN_ERROR_LIMIT);
     ck_assert_ptr_null(trainer);
+    ck_assert_ptr_nonnull(strstr(err.text, "a smaller --base"));
+    ck_assert_ptr_nonnull(strstr(err.text, "larger --memory-limit"));
     const char *needs = strstr(err.text, "needs ");
     ck_assert_ptr_nonnull(needs);
     double said = atof(needs + 6) * (1 << 20), before = (double)peak_bytes();

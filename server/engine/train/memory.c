@@ -48,7 +48,8 @@ enum rn_status rn_trainer_check_memory(const struct rn_trainer *t, size_t limit,
     if (need >= limit)
         return rn_error_set(err, RN_ERROR_LIMIT, t->dataset->name,
                             "training needs %zu MiB besides the pixels and the limit is %zu MiB; "
-                            "use fewer planes or a smaller base",
+                            "take a smaller --base, fewer --planes or a smaller --preset, or "
+                            "start ripnerfd with a larger --memory-limit",
                             need >> 20, limit >> 20);
     *ret_left = limit - need;
     return RN_OK;
