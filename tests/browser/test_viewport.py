@@ -82,6 +82,8 @@ def test_what_is_laid_over_the_view_says_that_it_comes_or_why_not(scene):
             raise Refusal(409, "Conflict", "what was kept of it is damaged")
 
     scene.api.world.on_render = look
+    scene.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False})
     tools = "return document.querySelector('.viewport-tools').clientHeight;"
     before = scene.run(tools)
     choose(scene, "at:3.75")
