@@ -373,6 +373,99 @@ START_TEST(goes_on_as_it_was) {
 }
 END_TEST
 
+// By a turn that moves each axis; about the origin.
+static void turn(const struct wall *w, const double turned[3][3]) {
+    for (int f = 0; f < VIEWS; f++) {
+        double(*pose)[4] = w->dataset.frames[f].camera.world_from_camera, old[3][4];
+        memcpy(old, pose, sizeof old);
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 4; j++)
+                pose[i][j] =
+                    turned[i][0] * old[0][j] + turned[i][1] * old[1][j] + turned[i][2] * old[2][j];
+    }
+}
+
+static float begins_at(const struct rn_trainer *t, const double point[3]) {
+    int cells = t->field->config.field.occupancy, at[3];
+    double cube[3];
+    ck_assert(rn_field_cube_of(t->field, point, cube));
+    for (int i = 0; i < 3; i++)
+        at[i] = rn_cell_of((rn_real)cube[i], cells);
+    return t->field->occupancy[rn_cell_index(at[0], at[1], at[2], cells)];
+}
+
+// Whichever way the cameras look, a point of the box is found in its cell, that cell at the point,
+// and a box about the point cuts out that cell and none far from it.
+START_TEST(cells_of_a_turned_capture_lie_where_their_points_do) {
+    const double turned[3][3] = {{0.36, 0.48, 0.8}, {-0.8, 0.6, 0}, {-0.48, -0.64, 0.6}};
+    const double depths[2] = {4, 2.5};
+    struct wall w;
+    struct rn_engine *engine = engine_with(1);
+    make_wall(0, true, &w);
+    turn(&w, turned);
+    for (int i = 0; i < 3; i++)
+        w.dataset.bounds.centre[i] = 4 * turned[i][2];
+    struct rn_train_config config = wall_config(&w);
+    struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
+    ck_assert(record(t)->on);
+    rn_field_refresh_occupancy(t->field);
+    struct rn_box box;
+    for (int n = 0; n < 2; n++) {
+        double point[3], cube[3], again[3];
+        for (int i = 0; i < 3; i++)
+            point[i] = turned[i][0] * 0.3 + turned[i][1] * -0.2 + turned[i][2] * depths[n];
+        ck_assert(rn_field_cube_of(t->field, point, cube));
+        rn_field_place_of(t->field, cube, again);
+        for (int i = 0; i < 3; i++)
+            ck_assert_double_eq_tol(again[i], point[i], 1e-12);
+        for (int i = 0; i < 3 && n == 0; i++)
+            box.low[i] = point[i] - 0.2, box.high[i] = point[i] + 0.2;
+        struct rn_occupancy_bits cut;
+        ck_assert_int_eq(rn_occupancy_bits_crop(t->field, &box, &cut), RN_OK);
+        int x = rn_cell_of(cube[0], cut.cells), y = rn_cell_of(cube[1], cut.cells),
+            z = rn_cell_of(cube[2], cut.cells);
+        bool kept = cut.words[rn_brick_word(x, y, z, cut.cells)] & rn_brick_bit(x, y);
+        ck_assert(kept == (n == 0));
+        rn_occupancy_bits_destroy(&cut);
+    }
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+// Where photographs saw nothing nearer than 4, nothing stands as near as 0.7 of that to the ways
+// between their cameras; without points nothing is known.
+START_TEST(what_lies_by_cameras_before_a_wall_begins_empty) {
+    enum { POINTS = 20 };
+    const double near[3] = {0, 0, 2.4}, far[3] = {0, 0, 3.4};
+    for (int known = 0; known < 2; known++) {
+        struct wall w;
+        struct rn_engine *engine = engine_with(1);
+        struct rn_point points[POINTS] = {{.error = -1}};
+        struct rn_sighting sightings[POINTS * VIEWS];
+        make_wall(0, true, &w);
+        for (uint32_t i = 0; i < POINTS * VIEWS; i++)
+            sightings[i] = (struct rn_sighting){.photo = i % VIEWS, .point = i / VIEWS};
+        for (int i = 0; i < POINTS; i++)
+            points[i].position[2] = WALL;
+        for (int i = 0; i < VIEWS; i++)
+            w.frames[i].photo = i;
+        w.dataset.points = (struct rn_points){.items = points,
+                                              .count = POINTS,
+                                              .sightings = sightings,
+                                              .sighting_count = known * POINTS * VIEWS};
+        struct rn_train_config config = wall_config(&w);
+        struct rn_trainer *t = trainer_for(engine, &w.dataset, &config);
+        ck_assert(record(t)->on);
+        ck_assert_float_eq(begins_at(t, near), known ? 0 : RN_NEVER_SEEN);
+        ck_assert_float_eq(begins_at(t, far), RN_NEVER_SEEN);
+        ck_assert_float_eq(begins_at(t, points[0].position), RN_NEVER_SEEN);
+        rn_trainer_destroy(&t);
+        rn_engine_destroy(&engine);
+    }
+}
+END_TEST
+
 static void add(TCase *tests) {
     tcase_add_test(tests, found_by_the_cameras);
     tcase_add_test(tests, what_was_asked_for_stays_before_a_wall);
@@ -382,6 +475,8 @@ static void add(TCase *tests) {
     tcase_add_test(tests, a_file_without_a_start_begins_among_its_cameras);
     tcase_add_test(tests, pictures_march_in_half_steps);
     tcase_add_test(tests, goes_on_as_it_was);
+    tcase_add_test(tests, cells_of_a_turned_capture_lie_where_their_points_do);
+    tcase_add_test(tests, what_lies_by_cameras_before_a_wall_begins_empty);
 }
 
 int main(void) {

@@ -4,7 +4,6 @@
 
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
-#include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
 #include "server/engine/kernels/ray.h"
 #include "server/engine/scene/scene.h"
@@ -30,24 +29,6 @@ unsigned rn_inspect_needs(unsigned outputs) {
     return outputs & RN_OUTPUTS_OF_SURFACES ? RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA
            : outputs & RN_OUTPUT_COST       ? RN_OUTPUT_RGB
                                             : 0;
-}
-
-// A point of dataset coordinates in the cube that planes and cells cover.
-static void to_cube(const struct rn_field *field, const double point[3], double ret[3]) {
-    double seen[3], r = 0;
-    if (field->cpu.disparity.on) {
-        rn_disparity_seen(&field->cpu.disparity, point, seen);
-        rn_disparity_map(&field->cpu.disparity, seen, ret);
-        return;
-    }
-    for (int i = 0; i < 3; i++) {
-        ret[i] = (point[i] - field->bounds.centre[i]) / field->bounds.radius;
-        r += ret[i] * ret[i];
-    }
-    if (field->config.field.space != RN_SPACE_UNBOUNDED) return;
-    double scale = rn_contraction_at(sqrt(r)).scale;
-    for (int i = 0; i < 3; i++)
-        ret[i] *= scale;
 }
 
 // Density counts where the march looks for it: outside of occupied cells the field was not trained.
@@ -83,7 +64,7 @@ static void drawn(const struct rn_field *field, const double point[3], const dou
     for (int k = 0; k < 2; k++) {
         for (int i = 0; i < 3; i++)
             from[i] = point[i] + (k ? 0.5 : -0.5) * length * axis[i];
-        to_cube(field, from, ends[k]);
+        rn_field_cube_of(field, from, ends[k]);
     }
     for (int i = 0; i < 3; i++)
         ret[i] = ends[1][i] - ends[0][i];
@@ -152,7 +133,7 @@ static void add_probes(const struct work *w, const struct surface *s, int x, str
     const struct rn_field *field = w->in->field;
     double cube[3], axes[2][3], cone[3], length = s->radius;
     double texel = 2.0 / rn_footprint_base(&field->config.field);
-    to_cube(field, s->point, cube);
+    rn_field_cube_of(field, s->point, cube);
     across(s->direction, axes);
     drawn(field, s->point, axes[0], length, cone);
     double reach = fmax(sqrt(rn_dot3(cone, cone)), texel);

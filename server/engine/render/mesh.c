@@ -30,27 +30,6 @@ struct meshing {
 
 // ---- densities ------------------------------------------------------------------------------
 
-// A point of dataset coordinates in the frame of the planes; false: the field has nothing there.
-static bool place_point(const struct rn_field *field, const double p[3], double ret[3]) {
-    const struct rn_disparity *space = &field->cpu.disparity;
-    double seen[3], squares = 0;
-    if (space->on) {
-        rn_disparity_seen(space, p, seen);
-        if (!(seen[2] >= space->near && seen[2] <= space->far)) return false;
-        rn_disparity_map(space, seen, ret);
-        return fabs(ret[0]) <= space->half[0] && fabs(ret[1]) <= space->half[1];
-    }
-    for (int i = 0; i < 3; i++) {
-        ret[i] = (p[i] - field->bounds.centre[i]) / field->bounds.radius;
-        squares += ret[i] * ret[i];
-    }
-    if (field->config.field.space == RN_SPACE_BALL) return squares <= 1;
-    double scale = rn_contraction_at(sqrt(squares)).scale;
-    for (int i = 0; i < 3; i++)
-        ret[i] *= scale;
-    return true;
-}
-
 static bool is_occupied(const struct rn_occupancy_bits *bits, const double at[3]) {
     int x = rn_cell_of(at[0], bits->cells), y = rn_cell_of(at[1], bits->cells),
         z = rn_cell_of(at[2], bits->cells);
@@ -69,7 +48,8 @@ static void measure_row(void *context, int y, int thread) {
         double p[3], at[3];
         for (int i = 0; i < 3; i++)
             p[i] = g->low[i] + (g->high[i] - g->low[i]) * place[i] / g->cells[i];
-        if (!place_point(m->field, p, at) || !is_occupied(&m->field->cpu.occupancy, at)) continue;
+        if (!rn_field_cube_of(m->field, p, at) || !is_occupied(&m->field->cpu.occupancy, at))
+            continue;
         for (int i = 0; i < 3; i++)
             points[count][i] = (float)at[i];
         which[count++] = place[0];

@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "server/engine/field/occupancy.h"
-#include "server/engine/field/space.h"
 #include "server/engine/field/volume.h"
 
 // ---- bits -----------------------------------------------------------------------------------
@@ -295,29 +294,11 @@ void rn_field_choose_cells(struct rn_field *field, int levels, double stop) {
 
 // ---- of a box -------------------------------------------------------------------------------
 
-// A point of the cells' cube in dataset coordinates.
-static void place_of(const struct rn_field *field, const double q[3], double ret[3]) {
-    const struct rn_disparity *space = &field->cpu.disparity;
-    double seen[3], size = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), scale = 1;
-    if (space->on) {
-        rn_disparity_unmap(space, q, seen);
-        for (int i = 0; i < 3; i++)
-            ret[i] = space->origin[i] +
-                     space->unit * (space->axes[0][i] * seen[0] + space->axes[1][i] * seen[1] +
-                                    space->axes[2][i] * seen[2]);
-        return;
-    }
-    if (field->config.field.space == RN_SPACE_UNBOUNDED && size > 0)
-        scale = (double)rn_uncontracted((rn_real)size) / size;
-    for (int i = 0; i < 3; i++)
-        ret[i] = field->bounds.centre[i] + field->bounds.radius * scale * q[i];
-}
-
 static bool is_kept(const struct rn_field *field, const struct rn_box *box, int cells, int x, int y,
                     int z) {
     double q[3] = {(2.0 * x + 1) / cells - 1, (2.0 * y + 1) / cells - 1, (2.0 * z + 1) / cells - 1};
     double p[3];
-    place_of(field, q, p);
+    rn_field_place_of(field, q, p);
     for (int i = 0; i < 3; i++)
         if (!(p[i] >= box->low[i] && p[i] <= box->high[i])) return false;
     return true;

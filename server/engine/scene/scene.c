@@ -6,9 +6,11 @@
 #include <sys/mman.h>
 
 #include "common/math/rng.h"
+#include "common/math/vector.h"
 #include "server/engine/field/footprint.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/ripmap.h"
+#include "server/engine/field/space.h"
 #include "server/engine/field/voxels.h"
 #include "server/engine/kernels/ray.h"
 #include "server/engine/scene/device.h"
@@ -371,6 +373,41 @@ enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *eng
 struct rn_workspace *rn_engine_workspace(const struct rn_engine *engine, int thread) {
     return (struct rn_workspace *)((char *)engine->workspaces +
                                    (size_t)thread * engine->workspace_bytes);
+}
+
+bool rn_field_cube_of(const struct rn_field *field, const double point[3], double ret[3]) {
+    const struct rn_disparity *box = &field->cpu.disparity;
+    double seen[3], squares = 0;
+    if (box->on) {
+        rn_disparity_seen(box, point, seen);
+        rn_disparity_map(box, seen, ret);
+        return seen[2] >= box->near && seen[2] <= box->far && fabs(ret[0]) <= box->half[0] &&
+               fabs(ret[1]) <= box->half[1];
+    }
+    for (int i = 0; i < 3; i++) {
+        ret[i] = (point[i] - field->bounds.centre[i]) / field->bounds.radius;
+        squares += ret[i] * ret[i];
+    }
+    if (field->config.field.space != RN_SPACE_UNBOUNDED) return squares <= 1;
+    double scale = (double)rn_contraction_at((rn_real)sqrt(squares)).scale;
+    for (int i = 0; i < 3; i++)
+        ret[i] *= scale;
+    return true;
+}
+
+void rn_field_place_of(const struct rn_field *field, const double cube[3], double ret[3]) {
+    const struct rn_disparity *box = &field->cpu.disparity;
+    double seen[3], size = sqrt(rn_dot(cube, cube)), scale = 1;
+    if (box->on) {
+        rn_disparity_unmap(box, cube, seen);
+        for (int i = 0; i < 3; i++)
+            ret[i] = box->origin[i] + box->unit * rn_dot(box->axes[i], seen);
+        return;
+    }
+    if (field->config.field.space == RN_SPACE_UNBOUNDED && size > 0)
+        scale = (double)rn_uncontracted((rn_real)size) / size;
+    for (int i = 0; i < 3; i++)
+        ret[i] = field->bounds.centre[i] + field->bounds.radius * scale * cube[i];
 }
 
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,

@@ -138,6 +138,12 @@ enum rn_status rn_field_make_ready(struct rn_field *field, struct rn_engine *eng
 // as many steps as its cone is wide.
 struct rn_march_ray rn_march_ray_from(const struct rn_field *field, const struct rn_ray *ray,
                                       double step, double jitter);
+// A point of dataset coordinates in the cube that planes and cells cover; false where the field has
+// nothing: beyond the ball, or beyond a disparity box. *ret is finite but in the plane of a box's
+// reference camera.
+bool rn_field_cube_of(const struct rn_field *field, const double point[3], double ret[3]);
+// And back; |cube| < 1 in unbounded space.
+void rn_field_place_of(const struct rn_field *field, const double cube[3], double ret[3]);
 // A photograph's camera as the field was trained with it: a pinhole where lenses make no
 // difference, or are not followed.
 struct rn_camera rn_field_camera(const struct rn_field *field, const struct rn_frame *frame);

@@ -110,8 +110,8 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     rn_field_randomise(t->field, own.seed);
     status = rn_trainer_set_up(t, err);
     if (status != RN_OK) goto fail;
-    if (own.field.space == RN_SPACE_UNBOUNDED) {
-        rn_trainer_carve_unseen(t);
+    if (own.field.space == RN_SPACE_UNBOUNDED) rn_trainer_carve_unseen(t);
+    if (rn_is_place(&t->field->cpu)) {
         rn_trainer_carve_sighted(t);
     } else if (t->field->config.carve) {
         rn_trainer_carve(t);

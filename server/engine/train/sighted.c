@@ -1,11 +1,11 @@
-// What sparse points say of unbounded space before training: a photograph that saw a point saw
-// through all that lies between, and what photographs beside each other both saw, a camera between
-// them would see too. Cells that several such lines cross, cells that lie about cameras and the
-// ways between them, far nearer than anything these saw, and near none of which a point lies, begin
-// empty, and so do those that several photographs see through between their points
-// (train/sheets.h): rays skip them from the first step on, and no haze settles there. Bare walls
-// and floors look the same from wherever it hangs, and it hides things from places between the
-// cameras.
+// What sparse points say of a place before training: a photograph that saw a point saw through all
+// that lies between, and what photographs beside each other both saw, a camera between them would
+// see too. Cells that several such lines cross, cells that lie about cameras and the ways between
+// them, far nearer than anything these saw, and near none of which a point lies, begin empty, and
+// so do those that several photographs see through between their points (train/sheets.h): rays skip
+// them from the first step on, and no haze settles there. Bare walls and floors look the same from
+// wherever it hangs, and it hides things from places between the cameras. Of a disparity box only
+// the cells about the ways do: more gained nothing there (tests/bench/captures.md).
 #include <math.h>
 #include <stdlib.h>
 
@@ -13,7 +13,6 @@
 #include "common/math/numbers.h"
 #include "common/math/vector.h"
 #include "server/engine/field/occupancy.h"
-#include "server/engine/field/space.h"
 #include "server/engine/train/sheets.h"
 #include "server/engine/train/trainer.h"
 
@@ -48,18 +47,6 @@ struct lines {
     size_t count;
 };
 
-// Where a point (dataset units) is drawn to in the cells' cube.
-static void contract(const struct rn_field *field, const double point[3], double ret[3]) {
-    double squares = 0;
-    for (int i = 0; i < 3; i++) {
-        ret[i] = (point[i] - field->bounds.centre[i]) / field->bounds.radius;
-        squares += ret[i] * ret[i];
-    }
-    double scale = (double)rn_contraction_at((rn_real)sqrt(squares)).scale;
-    for (int i = 0; i < 3; i++)
-        ret[i] *= scale;
-}
-
 static size_t cell_of(const struct lines *lines, const double at[3]) {
     int cell[3];
     for (int i = 0; i < 3; i++)
@@ -67,20 +54,16 @@ static size_t cell_of(const struct lines *lines, const double at[3]) {
     return rn_cell_index(cell[0], cell[1], cell[2], lines->cells);
 }
 
-// Of a cell, in dataset units; false where it is farther than all of space.
+// Of a cell, in dataset units; false where the field has none.
 static bool middle_of(const struct lines *lines, size_t index, double ret[3]) {
-    const struct rn_bounds *bounds = &lines->trainer->field->bounds;
+    const struct rn_field *field = lines->trainer->field;
     int cell[3];
-    double squares = 0;
+    double middle[3];
     rn_cell_at(index, lines->cells, cell);
-    for (int k = 0; k < 3; k++) {
-        ret[k] = (2 * cell[k] + 1.0) / lines->cells - 1;
-        squares += ret[k] * ret[k];
-    }
-    if (!(squares < 1)) return false;
-    double scale = (double)rn_uncontracted((rn_real)sqrt(squares)) / sqrt(squares);
     for (int k = 0; k < 3; k++)
-        ret[k] = bounds->centre[k] + bounds->radius * scale * ret[k];
+        middle[k] = (2 * cell[k] + 1.0) / lines->cells - 1;
+    if (!field->cpu.disparity.on && !(rn_dot(middle, middle) < 1)) return false;
+    rn_field_place_of(field, middle, ret);
     return true;
 }
 
@@ -104,12 +87,12 @@ static void cross(uint8_t *crossed) {
 static void follow(const struct lines *lines, const double camera[3], const double point[3]) {
     double end[3], reach = 2.0 * SHORT / lines->cells;
     size_t last = SIZE_MAX;
-    contract(lines->trainer->field, point, end);
+    rn_field_cube_of(lines->trainer->field, point, end);
     for (int place = 0; place < PLACES; place++) {
         double there[3], at[3];
         for (int i = 0; i < 3; i++)
             there[i] = camera[i] + (point[i] - camera[i]) * place / PLACES;
-        contract(lines->trainer->field, there, at);
+        rn_field_cube_of(lines->trainer->field, there, at);
         size_t cell = cell_of(lines, at);
         if (rn_square_apart(at, end) < reach * reach) return;
         if (cell != last) cross(&lines->crossed[cell]);
@@ -364,14 +347,14 @@ static void carve(struct lines *lines) {
     size_t cells = (size_t)lines->cells * (size_t)lines->cells * (size_t)lines->cells;
     for (size_t i = 0; i < points->count; i++) { // those too whose lines are left out
         double at[3];
-        contract(t->field, points->items[i].position, at);
-        keep_around(lines, at);
+        if (rn_field_cube_of(t->field, points->items[i].position, at)) keep_around(lines, at);
     }
-    rn_pool_run(t->engine->pool, SLICES, follow_slice, lines);
+    bool lines_tell = !t->field->cpu.disparity.on;
+    if (lines_tell) rn_pool_run(t->engine->pool, SLICES, follow_slice, lines);
     struct stands stands = list_stands(lines);
     if (stands.items) rn_pool_run(t->engine->pool, lines->cells, clear_layer, &stands);
     free(stands.items);
-    see_through(lines);
+    if (lines_tell) see_through(lines);
     for (size_t i = 0; i < cells; i++)
         if (lines->crossed[i] >= CROSSED && lines->crossed[i] != KEPT) t->field->occupancy[i] = 0;
 }
