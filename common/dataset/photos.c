@@ -151,14 +151,30 @@ static long last_number(const char *name) {
     return begin < end ? strtol(name + begin, NULL, 10) : -1;
 }
 
+static bool is_alike(const struct rn_image_info *a, const struct rn_image_info *b) {
+    bool turned = (a->orientation >= 5) != (b->orientation >= 5);
+    return a->camera_key == b->camera_key && a->width == (turned ? b->height : b->width) &&
+           a->height == (turned ? b->width : b->height);
+}
+
+static void tell_cameras_apart(struct rn_photos *photos) {
+    struct rn_photo *items = photos->items;
+    bool all_alike = true;
+    for (size_t i = 1; i < photos->count && all_alike; i++)
+        all_alike = is_alike(&items[i].info, &items[0].info);
+    photos->cameras = 0;
+    for (size_t i = 0; i < photos->count; i++) {
+        size_t same = items[i].info.camera_key || all_alike ? 0 : i;
+        while (!is_alike(&items[same].info, &items[i].info))
+            same++;
+        items[i].camera = same < i ? items[same].camera : photos->cameras++;
+    }
+}
+
 static void judge(struct rn_photos *photos) {
     size_t steps = 0;
-    photos->one_camera = true;
+    tell_cameras_apart(photos);
     for (size_t i = 1; i < photos->count; i++) {
-        const struct rn_image_info *info = &photos->items[i].info, *first = &photos->items[0].info;
-        if (info->width != first->width || info->height != first->height ||
-            info->camera_key != first->camera_key)
-            photos->one_camera = false;
         long before = last_number(photos->items[i - 1].name);
         long now = last_number(photos->items[i].name);
         steps += before >= 0 && now > before && now <= before + SAME_STEP;
@@ -303,8 +319,8 @@ void rn_photos_tell(const struct rn_photos *photos, const char *path,
                     "%zu photographs without poses, the first of %dx%d pixels, %s: import looks "
                     "for their poses with COLMAP",
                     photos->count, first->width, first->height,
-                    photos->one_camera ? "all of one camera as far as sizes and EXIF say"
-                                       : "of several sizes or, by EXIF, cameras");
+                    photos->cameras == 1 ? "all of one camera as far as sizes and EXIF say"
+                                         : "of several sizes or, by EXIF, cameras");
 }
 
 // ---- whether they can be decoded, and what they look like ----

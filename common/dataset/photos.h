@@ -9,15 +9,18 @@ struct rn_photo {
     char *path;
     char *mask_path; // NULL without one
     struct rn_image_info info;
+    int camera; // its number; those of one number were taken by one camera, as far as sizes, as the
+                // pictures stand upright, and EXIF say
 };
 
 // Thread-safety: immutable once read. Owner: whoever read it; rn_photos_finish.
 struct rn_photos {
     struct rn_photo *items; // by name, as numbers count: a2 before a10
     size_t count;
-    char *film;      // instead of photographs; NULL: none
-    bool one_camera; // all were taken by one camera, unzoomed, as far as sizes and EXIF say
-    bool in_order;   // names count upwards, as a camera names what it takes one after the other
+    char *film;    // instead of photographs; NULL: none
+    int cameras;   // how many took them, at most: who says nothing of its camera has its own,
+                   // where sizes or cameras differ
+    bool in_order; // names count upwards, as a camera names what it takes one after the other
 };
 #define RN_PHOTOS_MAX 20000
 #define RN_PHOTOS_LOOKS                                                                            \

@@ -25,11 +25,31 @@ static uint32_t number(const struct block *block, size_t at, int bytes) {
     return value;
 }
 
-// FNV-1a of `size` bytes that the entry holds, or holds the place of.
-static uint32_t mix(const struct block *block, size_t entry, size_t size, uint32_t key) {
-    size_t at = size <= 4 ? entry + 8 : number(block, entry + 8, 4);
-    for (size_t i = 0; i < size && i < MAX_TEXT && at + i < block->size; i++)
-        key = (key ^ block->bytes[at + i]) * 16777619u;
+// Of FNV-1a.
+static uint32_t mix(uint32_t key, uint8_t byte) {
+    return (key ^ byte) * 16777619u;
+}
+
+// With a text of `size` bytes at most that the entry holds, or holds the place of. What editors pad
+// it with says nothing of the camera.
+static uint32_t mix_text(const struct block *block, size_t entry, size_t size, uint32_t key) {
+    size_t at = size <= 4 ? entry + 8 : number(block, entry + 8, 4), end = 0;
+    while (end < size && end < MAX_TEXT && at + end < block->size && block->bytes[at + end])
+        end++;
+    while (end > 0 && block->bytes[at + end - 1] == ' ')
+        end--;
+    for (size_t i = 0; i < end; i++)
+        key = mix(key, block->bytes[at + i]);
+    return key;
+}
+
+// With the thousandths of a rational, the same in either order of bytes and however it is reduced.
+static uint32_t mix_rational(const struct block *block, size_t entry, uint32_t key) {
+    size_t at = number(block, entry + 8, 4);
+    uint32_t over = number(block, at, 4), under = number(block, at + 4, 4);
+    uint64_t value = under ? (uint64_t)over * 1000 / under : 0;
+    for (int i = 0; i < 8; i++)
+        key = mix(key, (uint8_t)(value >> 8 * i));
     return key;
 }
 
@@ -47,8 +67,8 @@ static void read_folder(const struct block *block, size_t at, struct rn_image_in
         }
         if (tag == EXIF_FOLDER) *ret_inner = number(block, entry + 8, 4);
         if (tag == MAKE || tag == MODEL)
-            info->camera_key = mix(block, entry, length, info->camera_key);
-        if (tag == FOCAL_LENGTH) info->camera_key = mix(block, entry, 8, info->camera_key);
+            info->camera_key = mix_text(block, entry, length, info->camera_key);
+        if (tag == FOCAL_LENGTH) info->camera_key = mix_rational(block, entry, info->camera_key);
     }
 }
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 FAKE = Path(__file__).parents[1] / "support" / "fake_colmap.py"
 
@@ -75,6 +76,40 @@ def test_poses_are_found(make_daemon, pictures):
     wait_until_tidied(daemon)
     log = Path(daemon.data, "jobs", job, "log").read_text()
     assert "--ImageReader.mask_path" in log and "OPENCV" not in log
+
+
+def test_photographs_of_one_camera_share_it(make_daemon, tmp_path):
+    """By size, as they stand upright, and EXIF; whoever says nothing of the camera has one alone."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+
+    def save(name, size, focal=None, orientation=1):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        if focal:
+            exif[0x010F], exif[0x0110] = "Maker", "Model"
+            exif[0x8769] = {0x920A: IFDRational(focal)}
+        Image.new("RGB", size, (90, 100, 200)).save(folder / name, exif=exif)
+
+    for i in range(10):
+        save(f"a{i}.jpg", (16, 12), focal=4.5)
+    save("b0.jpg", (16, 12), focal=4.5, orientation=6)
+    save("b1.jpg", (12, 16), focal=4.5)
+    save("c0.jpg", (16, 12), focal=9.0)
+    for i in range(2):
+        save(f"d{i}.jpg", (16, 12))
+    daemon = make(make_daemon)
+    job = import_photos(daemon, folder)
+    assert daemon.wait(job)["state"] == "succeeded", daemon.get(f"/v1/jobs/{job}").json
+    texts = problems_of(daemon)
+    assert any("15 photographs, by sizes and EXIF of 5 cameras" in text for text in texts), texts
+    log = Path(daemon.data, "jobs", job, "log").read_text()
+    found = sorted(line.split()[1:] for line in log.splitlines() if line.startswith("camera "))
+    radial, names = ["20", "8", "6", "0"], [f"a{i}.jpg" for i in range(10)]
+    assert found == sorted([
+        ["4", "16", "12", "20", "20", "8", "6", "0", "0", "0", "0", *names],
+        ["2", "12", "16", "20", "6", "8", "0", "b0.jpg.png", "b1.jpg"],
+        *(["2", "16", "12", *radial, name] for name in ("c0.jpg", "d0.jpg", "d1.jpg"))])
 
 
 def test_many_photographs_are_matched_with_those_alike(make_daemon, tmp_path):

@@ -39,6 +39,17 @@ def names_in_database():
     return found
 
 
+def tell_cameras(path):
+    """Each camera's kind, parameters and size, and the photographs that it took."""
+    database = sqlite3.connect(path)
+    for camera, kind, width, height, params in database.execute(
+            "SELECT camera_id, model, width, height, params FROM cameras").fetchall():
+        took = database.execute("SELECT name FROM images WHERE camera_id = ? ORDER BY name", (camera,))
+        numbers = struct.unpack(f"<{len(params) // 8}d", params)
+        print("camera", kind, width, height, *map(int, numbers), *(name for name, in took), flush=True)
+    database.close()
+
+
 def write_model(folder, photographs):
     os.makedirs(folder)
     sizes = [Image.open(os.path.join(options["--image_path"], name)).size for name in photographs]
@@ -68,14 +79,21 @@ def write_model(folder, photographs):
 def write_database(path, photographs):
     """Tables as COLMAP's; a feature a photograph shares with those up to 10 before and after it."""
     database = sqlite3.connect(path)
-    database.execute("CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT UNIQUE)")
+    database.execute("CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY, model INTEGER, width INTEGER, "
+                     "height INTEGER, params BLOB, prior_focal_length INTEGER)")
+    database.execute("CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
+                     "camera_id INTEGER)")
     database.execute("CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, "
                      "cols INTEGER, data BLOB)")
     for i, name in enumerate(photographs):
         number = int(re.sub(r"\D", "", name) or 0)
         rows = [random.Random(number + k).choices(range(79), k=128) for k in range(11)]
         rows = 1 if mood == "damaged" else len(rows), b"".join(map(bytes, rows))
-        database.execute("INSERT INTO images VALUES (?, ?)", (i + 1, name))
+        camera = 1 if options["--ImageReader.single_camera"] == "1" else i + 1
+        width, height = Image.open(os.path.join(options["--image_path"], name)).size
+        database.execute("INSERT OR IGNORE INTO cameras VALUES (?, 2, ?, ?, ?, 0)",
+                         (camera, width, height, struct.pack("<4d", 20, width / 2, height / 2, 0)))
+        database.execute("INSERT INTO images VALUES (?, ?, ?)", (i + 1, name, camera))
         database.execute("INSERT INTO descriptors VALUES (?, ?, 128, ?)", (i + 1, *rows))
     database.commit()
     database.close()
@@ -108,6 +126,7 @@ elif command == "mapper":
         sys.exit(3)
     found = names()
     assert found == names_in_database()
+    tell_cameras(options["--database_path"])
     if mood == "none":
         print("  => No good initial image pair found.", flush=True)
     elif mood == "two":

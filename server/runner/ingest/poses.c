@@ -15,6 +15,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "server/runner/ingest/cameras.h"
 #include "server/runner/ingest/pairs.h"
 
 #define FOLDER ".poses"
@@ -26,7 +27,6 @@
 #define FEATURES_MOST 4096.0
 #define FEATURES_SIDE "1600" // pixels, longest side of the pictures that features are found in
 #define DOUBLED_BELOW 1100   // pixels of that side: smaller ones are looked at twice their size
-#define OPENCV_FEWEST 10     // photographs of one camera that settle four distortion parameters
 #define NAMES_SHOWN 12
 #define BLOCK "10" // photographs matched with as many between two lines of progress
 #define COPY_PIECE (1 << 30)
@@ -161,7 +161,8 @@ static enum rn_status take_frames(struct search *search, struct rn_error *err) {
     search->photos->film = NULL;
     rn_photos_finish(search->photos);
     *search->photos = frames;
-    search->photos->one_camera = search->photos->in_order = true;
+    search->photos->in_order = true;
+    search->photos->cameras = 1;
     return RN_OK;
 }
 
@@ -245,21 +246,25 @@ static enum rn_status extract(struct search *search, const char *database, const
     char masks[PATH_MAX + 8], features[16];
     const char *octave = longest_side(photos) < DOUBLED_BELOW ? "-1" : "0";
     snprintf(features, sizeof features, "%d", search->features);
-    bool settled = photos->one_camera && photos->count >= OPENCV_FEWEST;
+    bool one = photos->cameras == 1, settled = one && photos->count >= RN_CAMERAS_SETTLED;
     snprintf(masks, sizeof masks, "%s/masks", search->folder);
-    rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
-                    "%zu photographs, %s: %s of the kind %s", photos->count,
-                    photos->one_camera ? "all of one size and, by EXIF, of one camera"
-                                       : "whose sizes or, by EXIF, cameras differ",
-                    photos->one_camera ? "one camera" : "a camera each",
-                    settled ? "OPENCV" : "SIMPLE_RADIAL");
+    if (one)
+        rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
+                        "%zu photographs, all of one size and, by EXIF, of one camera: one camera "
+                        "of the kind %s",
+                        photos->count, settled ? "OPENCV" : "SIMPLE_RADIAL");
+    else
+        rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
+                        "%zu photographs, by sizes and EXIF of %d cameras: of the kind OPENCV "
+                        "where they took %d or more, else SIMPLE_RADIAL",
+                        photos->count, photos->cameras, RN_CAMERAS_SETTLED);
     const char *const argv[] = {"feature_extractor",
                                 "--database_path",
                                 database,
                                 "--image_path",
                                 images,
                                 "--ImageReader.single_camera",
-                                photos->one_camera ? "1" : "0",
+                                one ? "1" : "0",
                                 "--ImageReader.camera_model",
                                 settled ? "OPENCV" : "SIMPLE_RADIAL",
                                 "--SiftExtraction.use_gpu",
@@ -275,7 +280,8 @@ static enum rn_status extract(struct search *search, const char *database, const
                                 search->masked ? "--ImageReader.mask_path" : NULL,
                                 masks,
                                 NULL};
-    return run_colmap(search, "finding features", argv, err);
+    enum rn_status status = run_colmap(search, "finding features", argv, err);
+    return status || one ? status : rn_cameras_share(photos, database, err);
 }
 
 // Writes the list of pairs.

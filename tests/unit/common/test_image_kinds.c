@@ -3,6 +3,7 @@
 #include <lcms2.h>
 #include <math.h>
 
+#include "common/image/codec.h"
 #include "tests/unit/common/dataset_fixture.h"
 
 #ifdef RN_HAVE_WEBP
@@ -117,6 +118,55 @@ START_TEST(orientation_is_told_not_applied) {
     read_kind("a.jpg", &image);
     ck_assert_int_eq(image.width, WIDE);
     rn_image_finish(&image);
+}
+END_TEST
+
+// Writes `value` as the block has numbers; returns the place behind it.
+static uint8_t *put_number(uint8_t *to, bool big, int bytes, uint32_t value) {
+    for (int i = 0; i < bytes; i++)
+        to[i] = (uint8_t)(value >> 8 * (big ? bytes - 1 - i : i));
+    return to + bytes;
+}
+
+// The key of a camera whose model's name has `length` bytes in the block, at a focal length.
+static uint32_t key_of(bool big, const char *model, uint32_t length, uint32_t over,
+                       uint32_t under) {
+    enum { TEXT = 64, FOCAL = 96, SIZE = 104 };
+    uint8_t block[SIZE] = {0}, *at = block;
+    struct rn_image_info info;
+    *at++ = big ? 'M' : 'I';
+    *at++ = big ? 'M' : 'I';
+    at = put_number(at, big, 2, 42);
+    at = put_number(at, big, 4, 8);
+    at = put_number(at, big, 2, 2);
+    const uint32_t entries[2][4] = {{0x0110, 2, length, TEXT}, {0x8769, 4, 1, 40}};
+    for (int i = 0; i < 2; i++) {
+        at = put_number(at, big, 2, entries[i][0]);
+        at = put_number(at, big, 2, entries[i][1]);
+        at = put_number(at, big, 4, entries[i][2]);
+        at = put_number(at, big, 4, entries[i][3]);
+    }
+    at = put_number(block + 40, big, 2, 1);
+    at = put_number(at, big, 2, 0x920a);
+    at = put_number(at, big, 2, 5);
+    at = put_number(at, big, 4, 1);
+    put_number(at, big, 4, FOCAL);
+    memcpy(block + TEXT, model, strlen(model));
+    put_number(put_number(block + FOCAL, big, 4, over), big, 4, under);
+    rn_exif_read(block, SIZE, &info);
+    return info.camera_key;
+}
+
+// Editors write EXIF anew: in the other order of bytes, the focal length reduced, names padded.
+START_TEST(a_camera_is_the_same_however_its_exif_is_written) {
+    uint32_t key = key_of(false, "Model", 6, 361, 100);
+    ck_assert_uint_ne(key, 0);
+    ck_assert_uint_eq(key_of(true, "Model", 6, 361, 100), key);
+    ck_assert_uint_eq(key_of(false, "Model", 30, 361, 100), key);
+    ck_assert_uint_eq(key_of(false, "Model  ", 8, 3610, 1000), key);
+    ck_assert_uint_ne(key_of(false, "Model", 6, 362, 100), key);
+    ck_assert_uint_ne(key_of(false, "Modem", 6, 361, 100), key);
+    ck_assert_uint_ne(key_of(false, "Model", 6, 361, 0), key);
 }
 END_TEST
 
@@ -619,6 +669,7 @@ int main(void) {
     tcase_set_timeout(kinds, 60);
     tcase_add_loop_test(kinds, orientation_is_told_not_applied, 0, 16);
     tcase_add_test(kinds, orientation_out_of_range_is_none);
+    tcase_add_test(kinds, a_camera_is_the_same_however_its_exif_is_written);
     tcase_add_loop_test(kinds, turning, 0, 8);
     tcase_add_loop_test(kinds, poses_decide_on_turning, 0, 2);
     tcase_add_loop_test(kinds, profile_of_wide_colours, 0, 2);
