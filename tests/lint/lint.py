@@ -14,8 +14,14 @@ from pathlib import Path
 # Header -> the folders (or file prefixes) that may include it.
 FENCES = {
     r"microhttpd\.h": ("server/http/",),
-    # pairs.c reads the database of another program, COLMAP.
-    r"sqlite3\.h": ("server/store/", "server/runner/ingest/pairs.c", "tests/sim/vfs.c", "tests/unit/server/store"),
+    # pairs.c and cameras.c read the database of another program, COLMAP.
+    r"sqlite3\.h": (
+        "server/store/",
+        "server/runner/ingest/pairs.c",
+        "server/runner/ingest/cameras.c",
+        "tests/sim/vfs.c",
+        "tests/unit/server/store",
+    ),
     r"jansson\.h": (
         "proto/",
         "common/image/lpips.c",
