@@ -27,7 +27,8 @@ static void format_train(const struct rn_train_progress *progress, char *ret_tex
     char seconds[24], limit[32] = "", psnr[48], rate[16], speed[32] = "", steps[32] = "";
     rn_format_seconds(progress->train_seconds, seconds, sizeof seconds);
     if (progress->max_seconds > 0) rn_format_seconds(progress->max_seconds, limit, sizeof limit);
-    bool old = 3 * progress->psnr_step < 2 * progress->step; // none has followed it, nor will
+    bool known = progress->psnr_step != RN_ABSENT;
+    bool old = known && 3 * progress->psnr_step < 2 * progress->step; // none has followed it
     rn_format_figure(progress->psnr, old ? progress->psnr_step : progress->step, progress->step,
                      psnr, sizeof psnr);
     rn_format_count(progress->samples_per_second, rate, sizeof rate);
