@@ -40,7 +40,7 @@ static uint32_t mix_text(const struct block *block, size_t entry, size_t size, u
         end--;
     for (size_t i = 0; i < end; i++)
         key = mix(key, block->bytes[at + i]);
-    return key;
+    return end > 0 ? mix(key, 0) : key; // a maker's name ends before the model's
 }
 
 // With the thousandths of a rational, the same in either order of bytes and however it is reduced.
