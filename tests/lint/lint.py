@@ -14,7 +14,7 @@ from pathlib import Path
 # Header -> the folders (or file prefixes) that may include it.
 FENCES = {
     r"microhttpd\.h": ("server/http/",),
-    # pairs.c and cameras.c read the database of another program, COLMAP.
+    # pairs.c and cameras.c work on the database of another program, COLMAP.
     r"sqlite3\.h": (
         "server/store/",
         "server/runner/ingest/pairs.c",
