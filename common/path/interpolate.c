@@ -76,22 +76,33 @@ struct segment {
     double u;
 };
 
+// From key i to the next; a loop's last one to the first.
+static struct segment segment_after(const struct rn_path *path, size_t i, double u) {
+    size_t count = path->key_count, after = (i + 1) % count;
+    const struct rn_path_key *keys = path->keys;
+    bool open_begin = !path->loop && i == 0, open_end = !path->loop && after + 1 == count;
+    return (struct segment){{&keys[open_begin ? 0 : (i + count - 1) % count], &keys[i],
+                             &keys[after], &keys[open_end ? after : (after + 1) % count]},
+                            u};
+}
+
+// When the stretch that begins at key i ends: at the next key, a loop's last one after the mean spacing.
+static double end_of_stretch(const struct rn_path *path, size_t i) {
+    const struct rn_path_key *keys = path->keys;
+    size_t last = path->key_count - 1;
+    if (i < last) return keys[i + 1].time_s;
+    return keys[last].time_s + (keys[last].time_s - keys[0].time_s) / (double)last;
+}
+
 static struct segment find_segment(const struct rn_path *path, double time_s) {
     size_t count = path->key_count, i = 0;
     const struct rn_path_key *keys = path->keys;
     while (i + 1 < count && keys[i + 1].time_s <= time_s)
         i++;
-    bool last = i + 1 == count;
-    if (count == 1 || (last && !path->loop))
+    if (count == 1 || (i + 1 == count && !path->loop))
         return (struct segment){{&keys[i], &keys[i], &keys[i], &keys[i]}, 0};
-    double begin_s = keys[i].time_s,
-           mean_s = (keys[count - 1].time_s - keys[0].time_s) / (double)(count - 1);
-    double end_s = last ? begin_s + mean_s : keys[i + 1].time_s;
-    size_t after = (i + 1) % count;
-    bool open_begin = !path->loop && i == 0, open_end = !path->loop && after + 1 == count;
-    return (struct segment){{&keys[open_begin ? 0 : (i + count - 1) % count], &keys[i],
-                             &keys[after], &keys[open_end ? after : (after + 1) % count]},
-                            fmin((time_s - begin_s) / (end_s - begin_s), 1)};
+    double begin_s = keys[i].time_s, end_s = end_of_stretch(path, i);
+    return segment_after(path, i, fmin((time_s - begin_s) / (end_s - begin_s), 1));
 }
 
 // Square root of the distance between two keys' positions.
@@ -216,25 +227,18 @@ static bool find_centre(const struct rn_path *path, double ret[3]) {
     return true;
 }
 
-static void position_at(const struct rn_path *path, double time_s, double ret[3]) {
-    struct segment at = find_segment(path, time_s);
-    double step[3];
-    steps_of(&at, step);
-    blend_position(path, &at, step, ret);
-}
-
-// travelled[i]: the length of the way up to i / travelled_count of the duration.
+// travelled[i]: the length of the way up to part i % PARTS of stretch i / PARTS.
 static void measure_way(struct rn_path *path) {
-    double before[3], now[3], length = 0, begin_s = path->keys[0].time_s;
-    position_at(path, begin_s, before);
+    double before[3], now[3], step[3], length = 0;
     for (size_t i = 0; i <= path->travelled_count; i++) {
-        double part = (double)i / (double)path->travelled_count, squared = 0;
-        // The very end of a loop is its beginning, which the segments leave out.
-        position_at(path, begin_s + span_s(path) * fmin(part, 1 - 1e-12), now);
-        for (int k = 0; k < 3; k++) {
+        size_t stretch = i < path->travelled_count ? i / PARTS : i / PARTS - 1; // the end is the last one's
+        struct segment at = segment_after(path, stretch, (double)(i - stretch * PARTS) / PARTS);
+        double squared = 0;
+        steps_of(&at, step);
+        blend_position(path, &at, step, now);
+        for (int k = 0; i && k < 3; k++)
             squared += (now[k] - before[k]) * (now[k] - before[k]);
-            before[k] = now[k];
-        }
+        memcpy(before, now, sizeof before);
         path->travelled[i] = length += sqrt(squared);
     }
 }
@@ -243,7 +247,7 @@ enum rn_status rn_path_prepare(struct rn_path *path) {
     path->has_centre =
         path->interpolation == RN_INTERPOLATE_CIRCLE && find_centre(path, path->centre);
     if (!path->constant_speed || path->key_count < 2 || !(span_s(path) > 0)) return RN_OK;
-    size_t count = PARTS * path->key_count;
+    size_t count = PARTS * (path->key_count - !path->loop);
     if (!path->travelled) path->travelled = malloc((count + 1) * sizeof *path->travelled);
     if (!path->travelled) return RN_ERROR_NO_MEMORY;
     path->travelled_count = count;
@@ -266,7 +270,9 @@ static double time_of_way(const struct rn_path *path, double time_s) {
     }
     double step = path->travelled[high] - path->travelled[low];
     double part = step > 0 ? (wanted - path->travelled[low]) / step : 0;
-    return begin_s + span * ((double)low + fmin(part, 1)) / (double)count;
+    size_t stretch = low / PARTS;
+    double from_s = path->keys[stretch].time_s, u = ((double)(low % PARTS) + fmin(part, 1)) / PARTS;
+    return from_s + (end_of_stretch(path, stretch) - from_s) * u;
 }
 
 // ---- cameras ----------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ struct rn_path {
     int width, height;
     enum rn_lens lens; // pinhole or equirectangular
     // Made of the rest by rn_path_check: the point that the keys look at, where there is one, and
-    // the distance travelled at travelled_count even parts of each stretch between keys.
+    // the distance travelled at even parts of each stretch between keys, travelled_count in all.
     bool has_centre;
     double centre[3];
     double *travelled; // owned

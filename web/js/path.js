@@ -53,14 +53,15 @@ export function insertKey(path, time, pose, fovDeg, optics) {
   return {...path, keys: keys.sort((a, b) => a.time - b.time)};
 }
 
-/** A key at another time; it does not pass its neighbours. */
+/** A key at another time; it does not pass its neighbours. The same path where it cannot move. */
 export function shiftKey(path, id, time) {
   const at = path.keys.findIndex((key) => key.id === id);
   if (at < 0) return path;
   const gap = 0.02;
   const low = at ? path.keys[at - 1].time + gap : 0;
   const high = path.keys[at + 1] ? path.keys[at + 1].time - gap : 86400;
-  return changeKey(path, id, {time: Math.max(low, Math.min(high, time))});
+  const to = Math.max(low, Math.min(high, time));
+  return to === path.keys[at].time ? path : changeKey(path, id, {time: to});
 }
 
 export const removeKey = (path, id) => ({...path, keys: path.keys.filter((key) => key.id !== id)});
@@ -273,10 +274,14 @@ export function createHistory(limit = 200) {
   let past = [];
   let future = [];
   return {
-    /** Notes what was before a change; changes with the same `word` within a second are one. */
+    /**
+     * Notes what was before a change; changes with the same `word` within a second are one, with the
+     * same object, such as a drag, however long that takes.
+     */
     note(before, word, now = Date.now()) {
       const last = past.at(-1);
-      if (!(last && word && last.word === word && now - last.at < 1000))
+      const isOne = last && word && last.word === word;
+      if (!(isOne && (typeof word === 'object' || now - last.at < 1000)))
         past = [...past, {value: before, word, at: now}].slice(-limit);
       else
         last.at = now;
@@ -361,21 +366,25 @@ function arc(centre, p, q, u) {
   return add(centre, add(scale(a, (r * wa) / ra), scale(b, (r * wb) / rb)));
 }
 
+/** From key `i` to the next, a loop's last one to the first: four keys about it, and where, 0 .. 1. */
+function segmentAfter(path, i, u) {
+  const {keys} = path;
+  const last = keys.length - 1;
+  const neighbour = (j) =>
+      keys[path.loop ? (j + keys.length) % keys.length : Math.min(last, Math.max(0, j))];
+  return {four: [neighbour(i - 1), keys[i], neighbour(i + 1), neighbour(i + 2)], u};
+}
+
 /** Which keys a time lies between, and where. */
 function segmentAt(path, time) {
   const {keys} = path;
-  const start = keys[0].time;
   const last = keys.length - 1;
   let i = 0;
-  while (i < last && keys[i + 1].time - start <= time) i++;
+  while (i < last && keys[i + 1].time - keys[0].time <= time) i++;
   if (i === last && !path.loop || keys.length === 1)
     return {four: [keys[i], keys[i], keys[i], keys[i]], u: 0};
-  const next = (i + 1) % keys.length;
-  const end = next ? keys[next].time - start : duration(path);
-  const u = Math.min(1, (time - (keys[i].time - start)) / (end - (keys[i].time - start)));
-  const neighbour = (j) =>
-      keys[path.loop ? (j + keys.length) % keys.length : Math.min(last, Math.max(0, j))];
-  return {four: [neighbour(i - 1), keys[i], keys[next], neighbour(i + 2)], u};
+  const [begin, end] = stretchOf(path, i);
+  return segmentAfter(path, i, Math.min(1, (time - begin) / (end - begin)));
 }
 
 const ways = new WeakMap();  // what is worked out once for each path
@@ -391,8 +400,7 @@ function wayOf(path) {
   return ways.get(path);
 }
 
-function positionAt(path, time) {
-  const {four, u} = segmentAt(path, time);
+function positionOn(path, {four, u}) {
   const points = four.map((key) => column(key.pose, 3));
   const {centre} = wayOf(path);
   if (path.interpolation === 'circle' && centre) {
@@ -403,13 +411,20 @@ function positionAt(path, time) {
                                            mix(points[1], points[2], u);
 }
 
+const PARTS = 32;  // of each stretch between keys, for its length
+
+/** When the stretch that begins at key `i` begins and ends, seconds from the first key. */
+const stretchOf = (path, i) =>
+    [path.keys[i].time - path.keys[0].time,
+     path.keys[i + 1] ? path.keys[i + 1].time - path.keys[0].time : duration(path)];
+
 function measureWay(path) {
-  const count = 32 * path.keys.length;
-  const whole = duration(path);
-  let before = positionAt(path, 0);
+  const count = PARTS * (path.keys.length - (path.loop ? 0 : 1));
+  let before = column(path.keys[0].pose, 3);
   let length = 0;
   return Array.from({length: count + 1}, (_, i) => {
-    const now = positionAt(path, whole * Math.min(i / count, 1 - 1e-12));
+    const stretch = Math.floor(Math.min(i, count - 1) / PARTS);
+    const now = positionOn(path, segmentAfter(path, stretch, i / PARTS - stretch));
     length += norm(sub(now, before));
     before = now;
     return length;
@@ -417,7 +432,7 @@ function measureWay(path) {
 }
 
 /** The time of the keys' clock at which the camera has travelled as far as it should have. */
-function timeOfWay(path, time) {
+export function timeOfWay(path, time) {
   const {travelled} = wayOf(path);
   const all = travelled.at(-1);
   if (!path.constantSpeed || !(all > 0)) return time;
@@ -426,7 +441,17 @@ function timeOfWay(path, time) {
   if (high < 0) high = travelled.length - 1;
   const step = travelled[high] - travelled[high - 1];
   const part = step > 0 ? (wanted - travelled[high - 1]) / step : 0;
-  return (duration(path) * (high - 1 + Math.min(part, 1))) / (travelled.length - 1);
+  const stretch = Math.floor((high - 1) / PARTS);
+  const u = (high - 1 + Math.min(part, 1)) / PARTS - stretch;
+  return mix([stretchOf(path, stretch)[0]], [stretchOf(path, stretch)[1]], u)[0];
+}
+
+/** When the camera passes a key, seconds from the first. */
+export function momentOf(path, index) {
+  const {travelled} = wayOf(path);
+  const all = travelled.at(-1);
+  if (!path.constantSpeed || !(all > 0)) return path.keys[index].time - path.keys[0].time;
+  return (duration(path) * travelled[PARTS * index]) / all;
 }
 
 /**
@@ -440,7 +465,7 @@ export function cameraAt(path, time) {
   const {four, u} = segmentAt(path, at);
   return {
     pose: poseOfQuaternion(
-        slerp(quaternionOf(four[1].pose), quaternionOf(four[2].pose), u), positionAt(path, at)),
+        slerp(quaternionOf(four[1].pose), quaternionOf(four[2].pose), u), positionOn(path, {four, u})),
     fovDeg: mix([four[1].fovDeg], [four[2].fovDeg], u)[0],
     optics: blendOptics(four[1].optics, four[2].optics, u),
   };

@@ -315,6 +315,21 @@ START_TEST(a_loop_has_no_ends) {
 }
 END_TEST
 
+// Equal distances in equal times, however uneven the keys' own times are: 0, 5 and 6 on a line.
+START_TEST(constant_speed_is_kept_between_uneven_times) {
+#define AT(x) "[[1,0,0," #x "],[0,1,0,0],[0,0,1,-4]]"
+    struct rn_path *path =
+        parse("{\"path\":{\"axes\":\"opencv\",\"fps\":4,\"interpolation\":\"linear\",\"width\":64,"
+              "\"height\":48,\"constant_speed\":true,\"keys\":[" KEY(0, AT(0), 40) "," KEY(
+                  0.01, AT(5), 40) "," KEY(10, AT(6), 40) "]}}");
+    for (int frame = 0; frame <= 40; frame++) {
+        struct rn_camera camera = rn_path_camera(path, frame);
+        assert_position(&camera, 6.0 * frame / 40, 0, -4);
+    }
+    rn_path_destroy(&path);
+}
+END_TEST
+
 START_TEST(equirectangular_frames_are_the_whole_sphere) {
     struct rn_path *path =
         parse("{\"path\":{\"axes\":\"opencv\",\"lens\":\"equirectangular\",\"width\":64,"
@@ -341,6 +356,7 @@ int main(void) {
     tcase_add_test(tests, camera_with_lens);
     tcase_add_test(tests, effects_go_over_from_key_to_key);
     tcase_add_test(tests, a_loop_has_no_ends);
+    tcase_add_test(tests, constant_speed_is_kept_between_uneven_times);
     tcase_add_test(tests, equirectangular_frames_are_the_whole_sphere);
     tcase_add_loop_test(tests, bad_camera, 0, sizeof bad_cameras / sizeof *bad_cameras);
     tcase_add_loop_test(tests, bad_path, 0, sizeof bad_paths / sizeof *bad_paths);
