@@ -103,44 +103,8 @@ def test_the_picture_is_in_sight_with_the_timeline(scene):
     assert stage < min(lane, play) and max(lane, play) < scene.run("return innerHeight;")
 
 
-def test_a_key_is_dragged_along_the_timeline_and_stops_at_its_neighbours(scene):
-    scene.press("Whole turn")
-    scene.until(lambda: len(scene.all(".mark")) == 8, "eight marks")
-    before = [key["time"] for key in scene.path()["keys"]]
-    mark = scene.all(".mark")[1]
-    scene.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", mark)
-    ActionChains(scene.driver).click_and_hold(mark).move_by_offset(20, 0).move_by_offset(
-        12, 0).release().perform()
-    after = scene.until(
-        lambda: (t := [key["time"] for key in scene.path()["keys"]]) != before and t, "a change")
-    assert before[1] < after[1] < before[2] and after[2:] == before[2:]
-    ActionChains(scene.driver).click_and_hold(mark).move_by_offset(900, 0).release().perform()
-    far = [key["time"] for key in scene.path()["keys"]]
-    assert far == sorted(far) and far[1] < far[2]
-    mark.send_keys(Keys.ARROW_LEFT)
-    assert scene.path()["keys"][1]["time"] < far[1]
-
-
 def times(page):
     return [key["time"] for key in page.path()["keys"]]
-
-
-def test_the_last_key_is_dragged_by_as_much_as_the_pointer_goes(scene):
-    """It is the end of the scale, which moved under the pointer: a path fell to nothing, and grew no more."""
-    choose(scene, "arc")
-    scene.until(lambda: len(scene.all(".mark")) == 5, "five marks")
-    mark = scene.all(".mark")[4]
-    scene.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", mark)
-    width = scene.run("return document.querySelector('.track').clientWidth;")
-    for pixels in (-20, 30):
-        before = times(scene)[4]
-        chain = ActionChains(scene.driver).click_and_hold(mark)
-        for _ in range(5):
-            chain = chain.move_by_offset(pixels // 5, 0)
-        chain.release().perform()
-        assert times(scene)[4] - before == pytest.approx(pixels * before / width, abs=0.02)
-        scene.says(f"{times(scene)[4]:.2f} s", ".clock")
-    assert times(scene)[:4] == [0, 1, 2, 3]
 
 
 def test_a_path_is_made_as_long_as_is_asked(scene):
@@ -548,7 +512,7 @@ def test_preview_and_daemon_agree_on_arcs_and_speed(page, fake, build, tmp_path)
         return [[r[i], d[i], f[i], eye[i]] for i in range(3)]
 
     keys = [{"time": t, "world_from_camera": look(a, r, h), "fov_y_deg": 40}
-            for t, a, r, h in ((0, 0, 3, 1), (1, 1, 4, 1.5), (1.5, 2.2, 3, 0.5), (4, 3, 2, 1))]
+            for t, a, r, h in ((0, 0, 3, 1), (1, 1, 4, 1.5), (1.02, 2.2, 3, 0.5), (4, 3, 2, 1))]
     for more in ({"interpolation": "circle"}, {"interpolation": "spline", "tension": 0.5},
                  {"interpolation": "linear"}, {"interpolation": "spline", "constant_speed": True},
                  {"interpolation": "circle", "constant_speed": True, "loop": True}):

@@ -11,6 +11,7 @@ import {
   emptyPath,
   frameCount,
   insertKey,
+  momentOf,
   moveKey,
   pathOfDocument,
   photographedArc,
@@ -19,7 +20,8 @@ import {
   removeKey,
   shiftKey,
   stretch,
-  throughCameras
+  throughCameras,
+  timeOfWay
 } from '../path.js';
 import {fill, follow, h, saveBlob, showBlob, text} from '../dom.js';
 import {plural, seconds} from '../format.js';
@@ -82,8 +84,9 @@ export function createKeys(scene, size, view, signal) {
   const timeline = createTimeline({
     path: () => path,
     seek,
-    shift: (id, time) => set(shiftKey(path, id, time), `shift ${id}`),
+    shift: (id, time, drag) => set(shiftKey(path, id, time), drag ?? `shift ${id}`),
     show: (id) => goTo(id),
+    remove: (id) => set(removeKey(path, id)),
     selected: () => selected
   });
   const play = h(
@@ -110,14 +113,16 @@ export function createKeys(scene, size, view, signal) {
   function put(next) {
     path = next;
     if (!path.keys.some((key) => key.id === selected)) selected = null;
+    if (at !== null) at = Math.min(at, duration(path));
     sessionStorage.setItem(
         storeKey,
         JSON.stringify({...path, keys: path.keys.map((key) => ({...key, picture: undefined}))}));
     show();
   }
 
-  /** A change by the reader; `word` names it, so that a drag is one step back. */
+  /** A change by the reader; `word` names it, so that a drag is one step back. What changes nothing is none. */
   function set(next, word) {
+    if (next === path) return;
     history.note(path, word);
     put(next);
     store.keep(path);
@@ -177,9 +182,10 @@ export function createKeys(scene, size, view, signal) {
   function goTo(id) {
     const item = path.keys.find((other) => other.id === id);
     if (!item) return;
+    stopPreview();
     selected = id;
     at = null;
-    timeline.set(item.time - path.keys[0].time);
+    timeline.set(momentOf(path, path.keys.indexOf(item)));
     view.show(item.pose, item.fovDeg, item.optics);
     show();
     reveal();
@@ -187,6 +193,7 @@ export function createKeys(scene, size, view, signal) {
 
   function seek(time) {
     if (problemOf(path)) return;
+    stopPreview();
     at = time;
     const {pose, fovDeg, optics} = cameraAt(path, time);
     view.show(pose, fovDeg, optics);
@@ -195,7 +202,7 @@ export function createKeys(scene, size, view, signal) {
 
   function insertHere() {
     const {pose, fovDeg, optics} = cameraAt(path, at);
-    set(insertKey(path, path.keys[0].time + at, pose, fovDeg, optics));
+    set(insertKey(path, path.keys[0].time + timeOfWay(path, at), pose, fovDeg, optics));
     pictures();
   }
 
@@ -240,7 +247,7 @@ export function createKeys(scene, size, view, signal) {
     selected = path.keys.at(-1).id;
     show();
     reveal();
-    timeline.set(path.keys.at(-1).time - path.keys[0].time);
+    timeline.set(momentOf(path, path.keys.length - 1));
     announce(`Key ${path.keys.length} recorded`);
     pictures();
   }
@@ -264,9 +271,11 @@ export function createKeys(scene, size, view, signal) {
   }
 
   function stopPreview() {
+    if (!playing) return;
     cancelAnimationFrame(playing);
     playing = null;
     text(play, 'Preview');
+    if (!signal.aborted) show();
   }
 
   /** At the path's own speed, while the daemon is there to draw it; a loop goes on until it is stopped. */
@@ -373,6 +382,8 @@ export function createKeys(scene, size, view, signal) {
     record,
     take,
     choose: goTo,
+    /** The reader has taken the camera. */
+    leave: () => stopPreview(),
     /** The scene's curve, or null: what the path's frames cost. */
     set curve(next) {
       quality.curve = next;

@@ -140,6 +140,7 @@ function page(scene, cameras, start, mark, query, signal) {
             failed: () => find(state.scenes, scene.id)?.state === 'failed',
             onKey: () => keys.record(),
             onTake: () => keys.take(),
+            onMoved: () => keys.leave?.(),
             onPick: (id) => keys.choose(id),
             onRefined: (facts) => cost.picture(facts),
             camera: query?.get('camera'),

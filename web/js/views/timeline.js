@@ -1,14 +1,17 @@
 // Time along a path: a scrubber, and the keys under it, which are dragged to other times.
 import {follow, h, text} from '../dom.js';
-import {duration} from '../path.js';
+import {duration, momentOf} from '../path.js';
+import {announce} from '../ui.js';
+
+const HIDDEN_PX = 3;  // nearer, one mark hides another
+const STILL_PX = 3;   // a press that moves no further is a click
 
 const clock = (seconds) => `${seconds.toFixed(2)} s`;
 
 /**
- * @param {{path: () => any, seek: (time: number) => void, shift: (id: string, time: number) =>
- *     void,
- *   show: (id: string) => void, selected: () => string|null}} host times in seconds from the first
- *   key
+ * @param {{path: () => any, seek: (time: number) => void, shift: (id: string, time: number, drag?:
+ *     object) => void, show: (id: string) => void, remove: (id: string) => void, selected: () =>
+ *     string|null}} host times in seconds from the first key; `drag` is one object for all of a drag
  */
 export function createTimeline(host) {
   const scrub = h('input', {
@@ -24,7 +27,6 @@ export function createTimeline(host) {
   const track = h('div', {class: 'track'});
   const node =
       h('div', {class: 'timeline', hidden: true}, h('div', {class: 'lane'}, scrub, track), at);
-  const start = () => host.path().keys[0]?.time ?? 0;
   const whole = () => duration(host.path()) || 1;
 
   scrub.addEventListener('input', () => {
@@ -32,40 +34,70 @@ export function createTimeline(host) {
     host.seek(Number(scrub.value));
   });
 
+  const indexOf = (id) => host.path().keys.findIndex((key) => key.id === id);
+  const momentOfKey = (id) => momentOf(host.path(), indexOf(id));
+  /** At constant speed the way says when a key between the ends is passed: its time only orders it. */
+  const isFixed = (id) =>
+      host.path().constantSpeed && host.path().keys.slice(1, -1).some((key) => key.id === id);
+
+  /** The keys whose marks lie at a place of the window, in their order: the nearest, and those it hides. */
+  function keysAt(x) {
+    const {left, width} = track.getBoundingClientRect();
+    const placed =
+        host.path().keys.map((key) => ({key, at: left + (width * momentOfKey(key.id)) / whole()}));
+    const nearest = placed.reduce((a, b) => (Math.abs(b.at - x) < Math.abs(a.at - x) ? b : a));
+    return placed.filter(({at}) => Math.abs(at - nearest.at) <= HIDDEN_PX).map(({key}) => key);
+  }
+
   function mark(first) {
     const button = h('button', {type: 'button', class: 'mark'}, h('span', {'aria-hidden': 'true'}));
-    let dragged = false;
-    let held = null;  // the time and the scale where a drag began: a key at an end moves both
-    const timeAt = (event) =>
-        held.time + ((event.clientX - held.x) / track.getBoundingClientRect().width) * held.whole;
+    let drag = null;  // where it began, and the scale there: a key at an end moves both
     button.addEventListener('pointerdown', (event) => {
+      if (event.button) return;
       button.setPointerCapture(event.pointerId);
-      dragged = false;
-      const {time} = host.path().keys.find((item) => item.id === first.id);
-      held = {time, x: event.clientX, whole: whole()};
+      drag = {x: event.clientX, whole: whole(), keys: keysAt(event.clientX), key: null};
     });
     button.addEventListener('pointermove', (event) => {
-      if (!button.hasPointerCapture(event.pointerId)) return;
-      if (!dragged && Math.abs(event.movementX) < 1) return;
-      dragged = true;
-      host.shift(first.id, timeAt(event));
-      text(at, clock(host.path().keys.find((item) => item.id === first.id).time - start()));
+      if (!drag || !button.hasPointerCapture(event.pointerId)) return;
+      const by = event.clientX - drag.x;
+      if (!drag.key && Math.abs(by) < STILL_PX) return;
+      drag.key ??= by > 0 ? drag.keys.at(-1) : drag.keys[0];  // of a heap, the one that can go there
+      const {id, time} = drag.key;
+      if (isFixed(id)) return;
+      host.shift(id, time + (by / track.getBoundingClientRect().width) * drag.whole, drag);
+      text(at, clock(momentOfKey(id)));
     });
-    button.addEventListener('click', () => dragged || host.show(first.id));
+    button.addEventListener('lostpointercapture', () => text(at, clock(Number(scrub.value))));
+    button.addEventListener('click', (event) => {
+      if (!event.detail)
+        host.show(first.id);  // by the keyboard
+      else if (!drag?.key)
+        host.show((drag?.keys ?? [first])[0].id);
+    });
     button.addEventListener('keydown', (event) => {
       const step = {ArrowLeft: -0.1, ArrowRight: 0.1}[event.key];
+      const place = [...track.children].indexOf(button);
+      if (event.key === 'Delete') {
+        host.remove(first.id);
+        track.children[Math.min(place, track.children.length - 1)]?.focus();
+      }
       if (!step) return;
       event.preventDefault();
-      const key = host.path().keys.find((item) => item.id === first.id);
-      host.shift(first.id, key.time + step);
+      if (isFixed(first.id)) return;
+      host.shift(first.id, host.path().keys[indexOf(first.id)].time + (event.shiftKey ? 10 : 1) * step);
+      announce(`Key ${place + 1} at ${clock(momentOfKey(first.id))}`);
     });
     const update = (key) => {
-      const {keys} = host.path();
-      const number = keys.findIndex((item) => item.id === key.id) + 1;
-      button.style.left = `${(100 * (key.time - start())) / whole()}%`;
+      const number = indexOf(key.id) + 1;
+      const moment = clock(momentOfKey(key.id));
+      button.style.left = `${(100 * momentOfKey(key.id)) / whole()}%`;
       button.dataset.selected = String(host.selected() === key.id);
-      button.setAttribute('aria-label', `Key ${number} at ${clock(key.time)}; arrow keys move it`);
-      button.title = `Key ${number}, ${clock(key.time)}`;
+      button.dataset.fixed = String(isFixed(key.id));
+      button.setAttribute(
+          'aria-label',
+          `Key ${number} at ${moment}${
+              isFixed(key.id) ? ', by constant speed' : '; arrow keys move it'}, Delete removes it`);
+      button.title = `Key ${number}, ${moment}${isFixed(key.id) ? ', by constant speed' : ''}`;
     };
     return {node: button, update};
   }

@@ -40,11 +40,11 @@ const TOLD_MS = 250;  // figures of pictures of a moving camera are told no more
 /**
  * @param {any} scene @param {any[]} cameras the dataset's, all splits
  * @param {{live: () => boolean, failed: () => boolean, onKey?: () => void, onTake?: () => void,
- *     onPick?: (id: string) => void, camera: string|null, crop?: string|null, at?: number|null,
+ *     onMoved?: () => void, onPick?: (id: string) => void, camera: string|null, crop?: string|null, at?: number|null,
  *     onNow?: () => void, start?: any, up?: number[]}}
- *     host onTake: the chosen key shall have this camera; onPick: a key was pointed at; camera: the
- *     address's; at: training seconds to look back at, and what leads back; start: a camera to begin
- *     at where no cameras are given; up: the dataset's
+ *     host onTake: the chosen key shall have this camera; onMoved: the reader chose another camera;
+ *     onPick: a key was pointed at; camera: the address's; at: training seconds to look back at, and
+ *     what leads back; start: a camera to begin at where no cameras are given; up: the dataset's
  * @param {AbortSignal} signal
  */
 export function createViewport(scene, cameras, host, signal) {
@@ -159,7 +159,13 @@ export function createViewport(scene, cameras, host, signal) {
   }
   if (first?.split) standIn().catch(() => {});
 
-  function set(next, exactPose = null, effects = {}) {
+  /** A camera that the reader chose; nothing else moves it from now on. */
+  function set(next, exactPose = null) {
+    host.onMoved?.();
+    place(next, exactPose);
+  }
+
+  function place(next, exactPose = null, effects = {}) {
     photograph.remove();
     orbit = next;
     pose = exactPose;
@@ -512,7 +518,7 @@ export function createViewport(scene, cameras, host, signal) {
     pose: () => pose ?? poseOfOrbit(orbit),
     /** Shows an exact pose; moving on from it keeps its direction. */
     show: (exact, fovDeg, effects) =>
-        set(orbitOfPose(exact, fovDeg, up, bounds), exact, effects ?? {}),
+        place(orbitOfPose(exact, fovDeg, up, bounds), exact, effects ?? {}),
     depthOf,
     /** A small picture of a camera for a key; `around`: of all directions. */
     thumbnail: async (exact, fovDeg, stop, effects, around) => {
