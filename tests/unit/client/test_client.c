@@ -8,6 +8,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "client/follow.h"
 #include "client/http.h"
 #include "client/options.h"
 #include "client/outcome.h"
@@ -428,6 +429,36 @@ START_TEST(jobs_tell_their_figures) {
 }
 END_TEST
 
+// A training's line: before there is a PSNR its step is absent, which no sum must take for a number
+// (the sanitizer tells); an old PSNR is told with its step.
+static const struct {
+    const char *psnr, *psnr_step, *text;
+} followed[] = {
+    {"null", "null", "step 90  12.0 s  ETA 3.0 s"},
+    {"24.5", "90", "step 90  12.0 s  24.50 dB  ETA 3.0 s"},
+    {"24.5", "70", "step 90  12.0 s  24.50 dB  ETA 3.0 s"},
+    {"24.5", "50", "step 90  12.0 s  24.50 dB at step 50  ETA 3.0 s"},
+    {"24.5", "0", "step 90  12.0 s  24.50 dB at step 0  ETA 3.0 s"},
+};
+
+START_TEST(trainings_tell_their_progress) {
+    char json[800], text[200];
+    double fraction;
+    struct rn_job job = {.type = RN_JOB_TRAIN, .state = RN_JOB_RUNNING};
+    snprintf(json, sizeof json,
+             "{\"step\":90,\"max_steps\":0,\"max_seconds\":0,"
+             "\"train_seconds\":12,\"load_seconds\":0,\"evaluate_seconds\":0,"
+             "\"paused_seconds\":0,\"yielded_seconds\":0,\"loss\":null,\"rays_per_second\":0,"
+             "\"samples_per_second\":0,\"samples\":0,\"level_samples\":[],\"psnr\":%s,"
+             "\"psnr_step\":%s,\"nonfinite\":{\"rays\":0,\"steps_rejected\":0,\"rollbacks\":0},"
+             "\"eta_seconds\":3,\"fraction\":0.8,\"evaluating_first\":false}",
+             followed[_i].psnr, followed[_i].psnr_step);
+    rn_format_progress(&job, json, &fraction, text, sizeof text);
+    ck_assert_str_eq(text, followed[_i].text);
+    ck_assert_double_eq(fraction, 0.8);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("client");
     TCase *plain = tcase_create("plain"), *files = tcase_create("files");
@@ -439,6 +470,8 @@ int main(void) {
     tcase_add_test(plain, figures_for_people);
     tcase_add_test(plain, names_are_escaped_in_paths);
     tcase_add_loop_test(plain, jobs_tell_their_figures, 0, sizeof outcomes / sizeof *outcomes);
+    tcase_add_loop_test(plain, trainings_tell_their_progress, 0,
+                        sizeof followed / sizeof *followed);
     tcase_add_loop_test(plain, hosts_without_a_port_have_the_daemons, 0,
                         sizeof hosts / sizeof *hosts);
     tcase_set_timeout(files, 60); // a busy disk
