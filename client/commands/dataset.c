@@ -343,7 +343,7 @@ static const struct rn_option import_table[] = {
      .kind = RN_OPTION_TEXT,
      IMPORT(up),
      .value = "X,Y,Z",
-     .help = "which way is up, or an axis such as z or -y; else by the cameras"},
+     .help = "which way is up, or an axis such as z or -y; else by the cameras or GPS"},
     {.name = "crop",
      .kind = RN_OPTION_TEXT,
      IMPORT(crop),

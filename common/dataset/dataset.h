@@ -23,13 +23,15 @@ struct rn_frame {
     char *mask_path; // a picture of the same size whose black pixels are left out of the loss; NULL
                      // where there is none
     enum rn_split split;
-    int index;           // zero-based among the views of its split, in the JSON's order; views
-                         // that were left out leave a gap
-    int scale;           // 0 = full size, j = downsampled 2^j times
-    double loss_weight;  // area weight of a pixel's loss: 4^scale (1 on single-scale data)
-    bool has_alpha;      // by the file's header
-    int held;            // how the camera was held, by the file's EXIF: 1 upright, to 8
-    uint32_t camera_key; // of struct rn_image_info: which camera it was; 0: not said
+    int index;            // zero-based among the views of its split, in the JSON's order; views
+                          // that were left out leave a gap
+    int scale;            // 0 = full size, j = downsampled 2^j times
+    double loss_weight;   // area weight of a pixel's loss: 4^scale (1 on single-scale data)
+    bool has_alpha;       // by the file's header
+    int held;             // how the camera was held, by the file's EXIF: 1 upright, to 8
+    uint32_t camera_key;  // of struct rn_image_info: which camera it was; 0: not said
+    bool located;         // the file's EXIF says where it was taken
+    double located_at[3]; // of struct rn_image_info
     int turn;         // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
     double gain[3];   // how bright its stored values are against the other photographs', by
                       // channel; 0: not measured
@@ -233,9 +235,27 @@ enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
                                            const struct rn_frame *const *frames, size_t count,
                                            double *ret_px) RN_MUST_CHECK;
 
+// Where on Earth the cameras stood, by GPS.
+struct rn_located {
+    size_t count;  // of frames that it is known by; 0: GPS does not say, or not well enough
+    double up[3];  // unit
+    double metres; // a dataset unit
+    double off_m;  // root mean square of how far GPS is from where the cameras stand, as fitted
+};
+// The similarity from the cameras' places to those that GPS gave (Horn 1987), without those that it
+// got wrong. Not known where fewer than half agree or GPS is off by more than a tenth of the
+// cameras' second longest spread. RN_ERROR_NO_MEMORY.
+enum rn_status rn_dataset_locate(const struct rn_dataset *dataset, struct rn_located *ret_located,
+                                 struct rn_error *err) RN_MUST_CHECK;
+// Metres east, north and up of `from`, by the curvature of the ellipsoid there (WGS 84): places
+// near each other, degrees north and east and metres up.
+void rn_located_metres(const double of[3], const double from[3], double ret_metres[3]);
+
 // Where the scene is, and the evidence of it.
 struct rn_scene_place {
     struct rn_lie lie;
+    struct rn_located located;
+    bool up_located; // `up` is by GPS, since the cameras' says another
     struct rn_bounds bounds;
     double turned_around[3]; // the point nearest to all optical axes
     double distance;         // median of the cameras' distances from it
@@ -248,8 +268,8 @@ struct rn_scene_place {
     size_t witnesses; // sparse points, or points at the depths that the source gives, looked at
     double beyond;    // share of them farther from that point than the cameras; NAN: too few
 };
-// By cameras, axes, sparse points or depths (robust quantiles), within dataset->lie.crop and with
-// dataset->lie.up where those are given. RN_ERROR_NO_MEMORY.
+// By GPS, cameras, axes, sparse points or depths (robust quantiles), within dataset->lie.crop and
+// with dataset->lie.up where those are given. RN_ERROR_NO_MEMORY.
 enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
                                      struct rn_scene_place *ret_place,
                                      struct rn_error *err) RN_MUST_CHECK;

@@ -6,6 +6,7 @@
 
 #include "common/dataset/reader.h"
 #include "common/math/numbers.h"
+#include "common/math/symmetric.h"
 #include "common/math/vector.h"
 
 #define FORWARD 0.9     // length of the mean view direction of photographs of a wall
@@ -18,8 +19,10 @@
 #define ALL 0.98        // likewise of an object that is cut out
 #define MARGIN 1.1      // of the sphere
 #define LEVEL_ROUNDS 5
-#define LEVEL 0.05   // sine by which axes that are held level are off
-#define MOSTLY 0.3   // of the tops' lengths, that points one way
+#define LEVEL 0.05 // sine by which axes that are held level are off
+#define MOSTLY 0.3 // of the tops' lengths, that points one way
+#define AGREED_DEG                                                                                 \
+    10 // by which up by the cameras and by GPS differ at most: cameras are the sharper
 #define SIDEWAYS 0.5 // of the mean squares by which they are, from which on cameras lay on a side
 
 const char *const rn_capture_names[] = {"object",  "forward-facing", "room",
@@ -35,33 +38,6 @@ static void column(const struct rn_camera *camera, int of, double ret[3]) {
 }
 
 // ---- up ----
-
-// Axes of a symmetric matrix, one a column, by Jacobi's rotations (Golub and Van Loan, section
-// 8.5); the diagonal is left with how much lies along each.
-static void principal_axes(double a[3][3], double axes[3][3]) {
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            axes[i][j] = i == j;
-    for (int round = 0; round < 30; round++) {
-        int p = round % 3, q = (p + 1) % 3;
-        if (a[p][q] == 0) continue;
-        double tau = (a[q][q] - a[p][p]) / (2 * a[p][q]);
-        double t = copysign(1, tau) / (fabs(tau) + sqrt(1 + tau * tau));
-        double c = 1 / sqrt(1 + t * t), s = t * c;
-        for (int k = 0; k < 3; k++) {
-            double before = a[k][p];
-            a[k][p] = c * before - s * a[k][q];
-            a[k][q] = s * before + c * a[k][q];
-        }
-        for (int k = 0; k < 3; k++) {
-            double before = a[p][k], axis = axes[k][p];
-            a[p][k] = c * before - s * a[q][k];
-            a[q][k] = s * before + c * a[q][k];
-            axes[k][p] = c * axis - s * axes[k][q];
-            axes[k][q] = s * axis + c * axes[k][q];
-        }
-    }
-}
 
 // The axis of a picture that lies level: its width, or where the camera was held on its side, its
 // height.
@@ -84,7 +60,7 @@ static void straighten(const struct rn_dataset *dataset, double up[3]) {
             for (int j = 0; j < 3; j++)
                 a[i][j] += level[i] * level[j] / (double)dataset->frame_count;
     }
-    principal_axes(a, axes);
+    rn_symmetric_axes3(a, axes);
     int least = 0, most = 0;
     for (int i = 1; i < 3; i++) {
         if (a[i][i] < a[least][least]) least = i;
@@ -275,9 +251,10 @@ bool rn_dataset_is_cut_out(const struct rn_dataset *dataset) {
 
 static enum rn_capture_kind judge(const struct rn_scene_place *place) {
     if (place->cut_out) return RN_CAPTURE_OBJECT;
-    if (place->alignment >= FORWARD) return RN_CAPTURE_FORWARD;
-    if (place->miss > CONVERGENT)
-        return place->below_deg >= STEEP_DEG ? RN_CAPTURE_DRONE : RN_CAPTURE_ROOM;
+    bool steep = place->below_deg >= STEEP_DEG;
+    if (place->alignment >= FORWARD)
+        return steep && place->located.count ? RN_CAPTURE_DRONE : RN_CAPTURE_FORWARD;
+    if (place->miss > CONVERGENT) return steep ? RN_CAPTURE_DRONE : RN_CAPTURE_ROOM;
     return place->beyond <= BEYOND ? RN_CAPTURE_OBJECT : RN_CAPTURE_OUTDOOR;
 }
 
@@ -319,10 +296,14 @@ enum rn_status rn_dataset_find_place(const struct rn_dataset *dataset,
                                      struct rn_scene_place *ret_place, struct rn_error *err) {
     struct rn_scene_place place = {.lie = dataset->lie};
     struct witnesses w = {0};
-    enum rn_status status = RN_OK;
     struct rn_bounds nearest = rn_bounds_from_cameras(dataset, 1);
     memcpy(place.turned_around, nearest.centre, sizeof nearest.centre);
     if (!place.lie.up_given) find_up(dataset, place.lie.up);
+    enum rn_status status = rn_dataset_locate(dataset, &place.located, err);
+    if (status) return status;
+    place.up_located = place.located.count && !place.lie.up_given &&
+                       rn_dot(place.located.up, place.lie.up) < cos(AGREED_DEG * M_PI / 180);
+    if (place.up_located) memcpy(place.lie.up, place.located.up, sizeof place.lie.up);
     if (gather(dataset, &w)) {
         measure(dataset, &w, &place);
         place.bounds = find_bounds(dataset, &w, &place);
@@ -379,5 +360,12 @@ void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place 
         rn_capture_titles[place->lie.kind], place->alignment, side(place->alignment >= FORWARD),
         FORWARD, 100 * fmin(place->miss, 9.99), side(place->miss > CONVERGENT), 100 * CONVERGENT,
         slope, side(place->below_deg >= STEEP_DEG), STEEP_DEG, seen, up[0], up[1], up[2],
-        place->lie.up_given ? "as given" : "by the cameras", place->tilt_deg);
+        place->lie.up_given ? "as given"
+        : place->up_located ? "by GPS"
+                            : "by the cameras",
+        place->tilt_deg);
+    if (place->located.count)
+        rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
+                        "by the GPS of %zu photographs, which is off by %.2g m, a unit is %.3g m",
+                        place->located.count, place->located.off_m, place->located.metres);
 }

@@ -266,6 +266,8 @@ enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, cons
     tell_kind(reader, where, &info);
     frame->held = info.orientation;
     frame->camera_key = info.camera_key;
+    frame->located = info.located;
+    memcpy(frame->located_at, info.located_at, sizeof info.located_at);
     frame->has_alpha = info.has_alpha;
     frame->camera.width = info.width;
     frame->camera.height = info.height;

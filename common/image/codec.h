@@ -41,8 +41,8 @@ extern const struct rn_codec rn_codec_png, rn_codec_jpeg, rn_codec_webp, rn_code
 enum rn_status rn_image_check_size(int width, int height, const struct rn_image_limits *limits,
                                    const char *where, struct rn_error *err) RN_MUST_CHECK;
 
-// What an EXIF block, which begins with the TIFF header, says of `orientation` and `camera_key`;
-// 1 and 0 where it says nothing or is damaged.
+// What an EXIF block, which begins with the TIFF header, says of `orientation`, `camera_key` and
+// `located_at`; 1, 0 and not located where it says nothing or is damaged.
 void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info);
 
 // Takes the picture's colours from an ICC profile to sRGB, with relative colorimetric intent and

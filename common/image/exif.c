@@ -1,12 +1,22 @@
-// What EXIF says that matters: how the camera was held, and which camera it was.
+// What EXIF says that matters: how the camera was held, which camera it was, and where it stood.
 // Source: CIPA DC-008 (Exif 2.32), sections 4.5 and 4.6; the block is a TIFF file of its own.
+#include <math.h>
+#include <string.h>
+
 #include "common/image/codec.h"
 
 #define MAKE 0x010f
 #define MODEL 0x0110
 #define ORIENTATION 0x0112
 #define EXIF_FOLDER 0x8769
+#define GPS_FOLDER 0x8825
 #define FOCAL_LENGTH 0x920a
+#define LATITUDE_REF 1
+#define LATITUDE 2
+#define LONGITUDE_REF 3
+#define LONGITUDE 4
+#define ALTITUDE_REF 5
+#define ALTITUDE 6
 #define TYPE_SHORT 3
 #define MAX_TEXT 64         // bytes of a maker's or model's name that count
 #define NOTHING 2166136261u // FNV-1a of no bytes
@@ -53,33 +63,103 @@ static uint32_t mix_rational(const struct block *block, size_t entry, uint32_t k
     return key;
 }
 
-// One folder of tags; *ret_inner: where the folder of EXIF's own tags is, else as it was.
-static void read_folder(const struct block *block, size_t at, struct rn_image_info *info,
-                        size_t *ret_inner) {
-    uint32_t count = number(block, at, 2);
-    for (uint32_t i = 0; i < count; i++) {
-        size_t entry = at + 2 + 12 * (size_t)i;
-        if (entry + 12 > block->size) return;
-        uint32_t tag = number(block, entry, 2), length = number(block, entry + 4, 4);
-        if (tag == ORIENTATION && number(block, entry + 2, 2) == TYPE_SHORT) {
-            uint32_t value = number(block, entry + 8, 2);
-            if (value >= 1 && value <= 8) info->orientation = (int)value;
-        }
-        if (tag == EXIF_FOLDER) *ret_inner = number(block, entry + 8, 4);
-        if (tag == MAKE || tag == MODEL)
-            info->camera_key = mix_text(block, entry, length, info->camera_key);
-        if (tag == FOCAL_LENGTH) info->camera_key = mix_rational(block, entry, info->camera_key);
+// Where the folders of EXIF's own tags and of GPS's are; 0: nowhere.
+struct inner {
+    size_t exif, gps;
+};
+
+static void read_entry(const struct block *block, size_t entry, struct rn_image_info *info,
+                       struct inner *inner) {
+    uint32_t tag = number(block, entry, 2), length = number(block, entry + 4, 4);
+    if (tag == ORIENTATION && number(block, entry + 2, 2) == TYPE_SHORT) {
+        uint32_t value = number(block, entry + 8, 2);
+        if (value >= 1 && value <= 8) info->orientation = (int)value;
     }
+    if (tag == EXIF_FOLDER) inner->exif = number(block, entry + 8, 4);
+    if (tag == GPS_FOLDER) inner->gps = number(block, entry + 8, 4);
+    if (tag == MAKE || tag == MODEL)
+        info->camera_key = mix_text(block, entry, length, info->camera_key);
+    if (tag == FOCAL_LENGTH) info->camera_key = mix_rational(block, entry, info->camera_key);
+}
+
+// The sum of `count` rationals, each a sixtieth of the one before: degrees, minutes, seconds. NAN
+// where there are fewer, or one is over nothing.
+static double sixtieths(const struct block *block, size_t entry, uint32_t count) {
+    size_t at = number(block, entry + 8, 4);
+    double sum = 0, unit = 1;
+    if (number(block, entry + 4, 4) < count) return NAN;
+    for (uint32_t i = 0; i < count; i++, unit /= 60, at += 8) {
+        uint32_t under = number(block, at + 4, 4);
+        sum += under ? unit * number(block, at, 4) / under : NAN;
+    }
+    return sum;
+}
+
+static void read_gps_entry(const struct block *block, size_t entry, double place[3],
+                           double sign[3]) {
+    switch (number(block, entry, 2)) {
+    case LATITUDE_REF:
+        sign[0] = number(block, entry + 8, 1) == 'S' ? -1 : 1;
+        break;
+    case LATITUDE:
+        place[0] = sixtieths(block, entry, 3);
+        break;
+    case LONGITUDE_REF:
+        sign[1] = number(block, entry + 8, 1) == 'W' ? -1 : 1;
+        break;
+    case LONGITUDE:
+        place[1] = sixtieths(block, entry, 3);
+        break;
+    case ALTITUDE_REF:
+        sign[2] = number(block, entry + 8, 1) == 1 ? -1 : 1;
+        break;
+    case ALTITUDE:
+        place[2] = sixtieths(block, entry, 1);
+        break;
+    }
+}
+
+// How many entries, of 12 bytes from *ret_first, a folder has within the block.
+static uint32_t count_entries(const struct block *block, size_t at, size_t *ret_first) {
+    uint32_t count = at ? number(block, at, 2) : 0;
+    *ret_first = at + 2;
+    while (count > 0 && *ret_first + 12 * (size_t)count > block->size)
+        count--;
+    return count;
+}
+
+static void read_folder(const struct block *block, size_t at, struct rn_image_info *info,
+                        struct inner *inner) {
+    size_t first;
+    uint32_t count = count_entries(block, at, &first);
+    for (uint32_t i = 0; i < count; i++)
+        read_entry(block, first + 12 * (size_t)i, info, inner);
+}
+
+// A receiver that knew nothing wrote 0, 0.
+static void read_gps(const struct block *block, size_t at, struct rn_image_info *info) {
+    double place[3] = {NAN, NAN, NAN}, sign[3] = {1, 1, 1};
+    size_t first;
+    uint32_t count = count_entries(block, at, &first);
+    for (uint32_t i = 0; i < count; i++)
+        read_gps_entry(block, first + 12 * (size_t)i, place, sign);
+    info->located =
+        place[0] <= 90 && place[1] <= 180 && place[0] + place[1] > 0 && isfinite(place[2]);
+    for (int i = 0; i < 3; i++)
+        info->located_at[i] = info->located ? sign[i] * place[i] : 0;
 }
 
 void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info) {
     struct block block = {bytes, size_bytes, size_bytes > 0 && bytes[0] == 'M'};
-    size_t inner = 0;
+    struct inner inner = {0};
     info->orientation = 1;
     info->camera_key = 0;
+    info->located = false;
+    memset(info->located_at, 0, sizeof info->located_at);
     if (size_bytes < 8 || bytes[0] != bytes[1] || number(&block, 2, 2) != 42) return;
     info->camera_key = NOTHING;
     read_folder(&block, number(&block, 4, 4), info, &inner);
-    if (inner) read_folder(&block, inner, info, &inner);
+    read_folder(&block, inner.exif, info, &inner);
+    read_gps(&block, inner.gps, info);
     if (info->camera_key == NOTHING) info->camera_key = 0;
 }

@@ -51,8 +51,10 @@ struct rn_image_info {
     // How the camera was held, as EXIF counts: 1 upright or not said, 2 to 8 mirrored, turned or
     // both; 5 to 8 swap width and height. The sizes above are those of the pixels as stored.
     int orientation;
-    uint32_t camera_key; // equal for pictures of one make and model at one focal length, by EXIF;
-                         // 0: not said
+    uint32_t camera_key;  // equal for pictures of one make and model at one focal length, by EXIF;
+                          // 0: not said
+    bool located;         // GPS said where the camera stood
+    double located_at[3]; // degrees north and east (WGS 84), metres above the sea
 };
 // Reads a header only: PNG, JPEG, and WebP, TIFF, HEIC, AVIF and EXR where the build has their
 // libraries (else RN_ERROR_UNSUPPORTED, which names the library). Errors name the file.

@@ -1,6 +1,7 @@
 """Photographs without poses: a stand-in for COLMAP finds them, or fails in each of its ways."""
 
 import io
+import itertools
 import os
 import re
 import shutil
@@ -138,6 +139,33 @@ def test_many_photographs_are_matched_with_those_alike(make_daemon, tmp_path):
             assert sum(distance <= 3 for distance in apart) == 78 + 77 + 76
         if folder == "mixed":
             assert set(apart) == {7} and len(apart) > 60 and 1000000 not in numbers
+
+
+@pytest.mark.parametrize("step, placed", [(40, True), (3, False)])
+def test_photographs_near_each_other_by_gps_are_matched(make_daemon, tmp_path, step, placed):
+    """A flight of 7 lanes of 10, alike along their lanes alone."""
+    for lane, along in itertools.product(range(7), range(10)):
+        exif = Image.Exif()
+        north, east = 47 + lane * step / 111_160, 8 + along * step / 76_080
+        exif[0x8825] = {1: "N", 2: degrees(north), 3: "E", 4: degrees(east), 5: b"\0", 6: IFDRational(100)}
+        name = f"{chr(97 + along)}{100 * lane + along}.jpg"
+        Image.new("RGB", (16, 16), (30 * lane, 100, 200)).save(tmp_path / name, exif=exif)
+    daemon = make(make_daemon)
+    job = import_photos(daemon, tmp_path)
+    assert daemon.wait(job)["state"] == "succeeded", daemon.job(job)
+    assert any("by GPS, with those around it" in text for text in problems_of(daemon)) == placed
+    log = Path(daemon.data, "jobs", job, "log").read_text()
+    pairs = [sorted(int(re.sub(r"\D", "", name)) for name in pair.split())
+             for pair in re.findall(r"^pair (.*)$", log, re.MULTILINE)]
+    assert len(set(map(tuple, pairs))) == len(pairs)
+    assert sum(b - a < 10 for a, b in pairs) > 7 * 9
+    assert sum(b - a == 100 for a, b in pairs) == (60 if placed else 0)
+
+
+def degrees(angle):
+    """As EXIF has them: degrees, minutes, seconds."""
+    minutes = angle % 1 * 60
+    return (IFDRational(int(angle)), IFDRational(int(minutes)), IFDRational(round(minutes % 1 * 60 * 10 ** 6), 10 ** 6))
 
 
 def test_a_database_that_does_not_agree_with_itself(make_daemon, tmp_path):

@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "common/dataset/dataset.h"
+
 #define LENGTH 128 // of a descriptor; its square sums to about 512^2
 #define NORM2 (512.0f * 512.0f)
 #define RATIO2 0.64f // squared distances of the best and the second: 0.8, as COLMAP has it
@@ -15,6 +17,7 @@
 #define FEATURES_MOST 192
 #define PRODUCTS 2e11 // of numbers in all, about ten seconds
 #define REACH 1500    // photographs further on, with which each is compared
+#define APART_M 8.0   // of half of the photographs from the next: GPS is off by less as a rule
 
 // The largest features of a photograph, 16 bits a number: the compiler multiplies those in pairs.
 struct features {
@@ -30,14 +33,58 @@ struct choice {
     const struct rn_photos *photos;
     struct features *features;
     struct partner (*partners)[RN_PAIRS_PARTNERS]; // most matches first; matches 0: none
+    int (*around)[RN_PAIRS_AROUND];                // nearest first, -1: none; NULL: not placed
     int most;                                      // features of a photograph
 };
 
+// ---- where they were taken ----
+
+// Along the ground; infinite where GPS does not say.
+static double metres_apart(const struct rn_photo *a, const struct rn_photo *b) {
+    double metres[3];
+    if (!a->info.located || !b->info.located) return INFINITY;
+    rn_located_metres(a->info.located_at, b->info.located_at, metres);
+    return hypot(metres[0], metres[1]);
+}
+
+// The photograph's nearest.
+static void look_around(const struct rn_photos *photos, size_t i, int around[RN_PAIRS_AROUND]) {
+    double apart[RN_PAIRS_AROUND];
+    for (int k = 0; k < RN_PAIRS_AROUND; k++) {
+        apart[k] = INFINITY;
+        around[k] = -1;
+    }
+    for (size_t j = 0; j < photos->count; j++) {
+        double metres = j == i ? INFINITY : metres_apart(&photos->items[i], &photos->items[j]);
+        int at = RN_PAIRS_AROUND;
+        while (at > 0 && metres < apart[at - 1])
+            at--;
+        if (at == RN_PAIRS_AROUND) continue;
+        size_t after = (size_t)(RN_PAIRS_AROUND - at - 1);
+        memmove(apart + at + 1, apart + at, after * sizeof *apart);
+        memmove(around + at + 1, around + at, after * sizeof *around);
+        apart[at] = metres;
+        around[at] = (int)j;
+    }
+}
+
+bool rn_pairs_are_placed(const struct rn_photos *photos) {
+    size_t placed = 0;
+    for (size_t i = 0; i < photos->count; i++) {
+        int around[RN_PAIRS_AROUND];
+        look_around(photos, i, around);
+        placed +=
+            around[0] >= 0 && metres_apart(&photos->items[i], &photos->items[around[0]]) >= APART_M;
+    }
+    return 2 * placed > photos->count;
+}
+
 size_t rn_pairs_expected(const struct rn_photos *photos) {
     size_t all = photos->count * (photos->count - 1) / 2;
-    // Two that are partners are so to each other as a rule.
-    size_t some =
-        photos->count * (RN_PAIRS_PARTNERS * 2 / 3 + (photos->in_order ? RN_PAIRS_NEAR - 1 : 0));
+    // Two that are partners are so to each other as a rule, and most of those around are.
+    size_t each = RN_PAIRS_PARTNERS * 2 / 3 + (photos->in_order ? RN_PAIRS_NEAR - 1 : 0) +
+                  (rn_pairs_are_placed(photos) ? RN_PAIRS_AROUND / 4 : 0);
+    size_t some = photos->count * each;
     return some < all ? some : all;
 }
 
@@ -221,8 +268,15 @@ static bool has_partner(const struct partner partners[RN_PAIRS_PARTNERS], int ot
     return false;
 }
 
+static bool is_around(const int around[RN_PAIRS_AROUND], int other) {
+    for (int k = 0; k < RN_PAIRS_AROUND; k++)
+        if (around[k] == other) return true;
+    return false;
+}
+
 static bool is_near(const struct choice *choice, int i, int j) {
-    return choice->photos->in_order && abs(i - j) <= RN_PAIRS_NEAR;
+    if (choice->photos->in_order && abs(i - j) <= RN_PAIRS_NEAR) return true;
+    return choice->around && (is_around(choice->around[i], j) || is_around(choice->around[j], i));
 }
 
 // Each pair once: those near, then partners that are not.
@@ -230,8 +284,11 @@ static size_t write_pairs(const struct choice *choice, char **names, FILE *file)
     size_t pairs = 0;
     int count = (int)choice->photos->count;
     for (int i = 0; i < count; i++) {
-        for (int j = i + 1; j < count && is_near(choice, i, j); j++, pairs++)
+        for (int j = i + 1; j < count; j++) {
+            if (!is_near(choice, i, j)) continue;
             fprintf(file, "%s %s\n", names[i], names[j]);
+            pairs++;
+        }
         for (int k = 0; k < RN_PAIRS_PARTNERS && choice->partners[i][k].matches; k++) {
             int j = choice->partners[i][k].other;
             if (is_near(choice, i, j) || (j < i && has_partner(choice->partners[j], i))) continue;
@@ -273,8 +330,12 @@ enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *datab
                             .partners = calloc(photos->count, sizeof *choice.partners),
                             .most = (int)fmin(fmax(most, FEATURES_LEAST), FEATURES_MOST)};
     enum rn_status status = RN_OK;
-    if (!choice.features || !choice.partners)
+    bool placed = rn_pairs_are_placed(photos);
+    if (placed) choice.around = calloc(photos->count, sizeof *choice.around);
+    if (!choice.features || !choice.partners || (placed && !choice.around))
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, database, "out of memory");
+    for (size_t i = 0; status == RN_OK && placed && i < photos->count; i++)
+        look_around(photos, i, choice.around[i]);
     if (status == RN_OK) status = read_features(&choice, database, err);
     if (status == RN_OK) status = compare_all(&choice, keep_going, context, err);
     if (status == RN_OK) status = write_list(&choice, list, ret_pairs, err);
@@ -282,5 +343,6 @@ enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *datab
         free(choice.features[i].values);
     free(choice.features);
     free(choice.partners);
+    free(choice.around);
     return status;
 }

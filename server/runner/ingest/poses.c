@@ -305,12 +305,14 @@ static enum rn_status match(struct search *search, const char *database, const c
     enum rn_status status = search->exhaustive ? RN_OK : choose_pairs(search, database, list, err);
     if (status) return status;
     rn_problems_add(search->order->problems, RN_SEVERITY_INFO, "poses",
-                    "each photograph is matched with %s, %zu pairs, by about %d features each",
-                    search->exhaustive ? "every other"
-                    : search->photos->in_order
-                        ? "those whose largest features match best and, since names count "
-                          "upwards, with those near it"
-                        : "those whose largest features match best",
+                    "each photograph is matched with %s%s%s, %zu pairs, by about %d features each",
+                    search->exhaustive ? "every other" : "those whose largest features match best",
+                    search->exhaustive || !search->photos->in_order
+                        ? ""
+                        : " and, since names count upwards, with those near it",
+                    search->exhaustive || !rn_pairs_are_placed(search->photos)
+                        ? ""
+                        : " and, by GPS, with those around it",
                     search->pairs, search->features);
     const char *const argv[] = {search->exhaustive ? "exhaustive_matcher" : "matches_importer",
                                 "--database_path",

@@ -56,9 +56,62 @@ START_TEST(a_camera_is_the_same_however_its_exif_is_written) {
 }
 END_TEST
 
+// One entry of a folder; returns the place behind it.
+static uint8_t *put_entry(uint8_t *to, bool big, uint32_t tag, uint32_t type, uint32_t count,
+                          uint32_t value) {
+    to = put_number(put_number(to, big, 2, tag), big, 2, type);
+    return put_number(put_number(to, big, 4, count), big, type == 4 || type == 5 ? 4 : 1, value) +
+           (type == 4 || type == 5 ? 0 : 3);
+}
+
+// A block whose GPS says 41 degrees 30' 18" `south_north`, 83 degrees 15' 36" `west_east`, and 12.5
+// m over a `floor` of which 1 is below the sea's; over `under` instead of 1 where that is 0.
+static struct rn_image_info located(bool big, char south_north, char west_east, uint32_t floor,
+                                    uint32_t under, size_t cut) {
+    enum { GPS = 32, NUMBERS = 120, SIZE = 176 };
+    static const uint32_t rationals[7][2] = {{41, 1}, {30, 1},   {18, 1}, {83, 1},
+                                             {15, 1}, {360, 10}, {25, 2}};
+    uint8_t block[SIZE] = {0}, *at = block;
+    struct rn_image_info info;
+    *at++ = big ? 'M' : 'I';
+    *at++ = big ? 'M' : 'I';
+    at = put_number(put_number(at, big, 2, 42), big, 4, 8);
+    put_entry(put_number(at, big, 2, 1), big, 0x8825, 4, 1, GPS);
+    at = put_number(block + GPS, big, 2, 6);
+    at = put_entry(at, big, 1, 2, 2, (uint32_t)south_north);
+    at = put_entry(at, big, 2, 5, 3, NUMBERS);
+    at = put_entry(at, big, 3, 2, 2, (uint32_t)west_east);
+    at = put_entry(at, big, 4, 5, 3, NUMBERS + 24);
+    at = put_entry(at, big, 5, 1, 1, floor);
+    put_entry(at, big, 6, 5, 1, NUMBERS + 48);
+    at = block + NUMBERS;
+    for (int i = 0; i < 7; i++)
+        at = put_number(put_number(at, big, 4, rationals[i][0]), big, 4,
+                        i == 2 ? under : rationals[i][1]);
+    rn_exif_read(block, cut ? cut : SIZE, &info);
+    return info;
+}
+
+START_TEST(gps_says_where_a_photograph_was_taken) {
+    struct rn_image_info info = located(_i, 'N', 'W', 0, 1, 0);
+    ck_assert(info.located);
+    ck_assert_double_eq_tol(info.located_at[0], 41.505, 1e-12);
+    ck_assert_double_eq_tol(info.located_at[1], -83.26, 1e-12);
+    ck_assert_double_eq(info.located_at[2], 12.5);
+    info = located(_i, 'S', 'E', 1, 1, 0);
+    ck_assert_double_eq_tol(info.located_at[0], -41.505, 1e-12);
+    ck_assert_double_eq_tol(info.located_at[1], 83.26, 1e-12);
+    ck_assert_double_eq(info.located_at[2], -12.5);
+    ck_assert(!located(_i, 'N', 'W', 0, 0, 0).located); // seconds over nothing
+    for (size_t cut = 1; cut < 176; cut++)
+        ck_assert(!located(_i, 'N', 'W', 0, 1, cut).located);
+}
+END_TEST
+
 int main(void) {
     TCase *exif = tcase_create("exif");
     tcase_add_test(exif, a_camera_is_the_same_however_its_exif_is_written);
+    tcase_add_loop_test(exif, gps_says_where_a_photograph_was_taken, 0, 2);
     Suite *suite = suite_create("exif");
     suite_add_tcase(suite, exif);
     return run_suite(suite);

@@ -118,6 +118,78 @@ START_TEST(far_from_the_origin) {
 }
 END_TEST
 
+// A flight straight down over a field, all cameras turned one way: `lanes` beside each other, 40 m
+// apart, over a place whose GPS is off by `off_m` at most. In the dataset a unit is 8 m and y is
+// up.
+static void put_flight(int lanes, double off_m) {
+    put_capture(RN_CAPTURE_DRONE, false, origin);
+    for (int i = 0; i < CAMERAS; i++) {
+        double(*pose)[4] = frames[i].camera.world_from_camera;
+        double east = 30 * (i / lanes), north = 40 * (i % lanes), high = draw(3, i);
+        const double turned[3][4] = {
+            {1, 0, 0, east / 8}, {0, 0, 1, high / 8}, {0, -1, 0, -north / 8}};
+        const double to_down[3][3] = {{1, 0, 0}, {0, 0, -1}, {0, 1, 0}}; // along -y, x to the right
+        for (int r = 0; r < 3; r++) {
+            for (int c = 0; c < 3; c++)
+                pose[r][c] = to_down[r][c];
+            pose[r][3] = turned[r][3];
+        }
+        frames[i].located = true;
+        frames[i].located_at[0] = -34.5 + (north + off_m * draw(4, i)) / 110924;
+        frames[i].located_at[1] = 150.25 + (east + off_m * draw(5, i)) / 91844;
+        frames[i].located_at[2] = 120 + high + off_m * draw(6, i);
+    }
+    frames[7].located_at[0] += 1; // as a receiver has it that just woke up
+    for (int i = 0; i < POINTS; i++) {
+        const double p[3] = {10 + 10 * draw(0, i), -10, 10 * draw(1, i)};
+        memcpy(points[i].position, p, sizeof p);
+    }
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+}
+
+START_TEST(gps_says_which_way_is_up) {
+    put_flight(4, _i ? 2 : 0);
+    ck_assert_uint_ge(place.located.count, _i ? CAMERAS / 2 : CAMERAS - 1);
+    ck_assert(place.up_located);
+    ck_assert_double_gt(place.lie.up[1], cos((_i ? 2 : 0.05) * M_PI / 180));
+    ck_assert_double_eq_tol(place.located.metres, 8, _i ? 0.1 : 0.01);
+    ck_assert_double_lt(place.located.off_m, _i ? 2 : 0.1);
+    ck_assert_int_eq(place.lie.kind, RN_CAPTURE_DRONE);
+    ck_assert(told("a unit is"));
+}
+END_TEST
+
+// Off by as much as the cameras are apart, all in one line, or known of few: the cameras say it.
+START_TEST(gps_that_says_too_little) {
+    put_flight(_i == 1 ? 1 : 4, _i == 0 ? 30 : 1);
+    for (int i = 3; i < CAMERAS && _i == 2; i++)
+        frames[i].located = false;
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+    ck_assert_uint_eq(place.located.count, 0);
+    ck_assert(!place.up_located);
+    ck_assert_double_lt(fabs(place.lie.up[1]), 0.1);
+    ck_assert_int_eq(place.lie.kind, RN_CAPTURE_FORWARD);
+    ck_assert(told("by the cameras"));
+}
+END_TEST
+
+// Where both say it the cameras are the sharper.
+START_TEST(up_by_cameras_that_gps_agrees_with) {
+    put_capture(RN_CAPTURE_DRONE, false, origin);
+    struct rn_scene_place before = place;
+    for (int i = 0; i < CAMERAS; i++) {
+        frames[i].located = true;
+        frames[i].located_at[0] = 10 + frames[i].camera.world_from_camera[1][3] / 1e4;
+        frames[i].located_at[1] = 10 + frames[i].camera.world_from_camera[0][3] / 1e4;
+        frames[i].located_at[2] = 0.3 * draw(8, i);
+    }
+    ck_assert_int_eq(rn_dataset_find_place(&scene, &place, &err), RN_OK);
+    ck_assert_uint_gt(place.located.count, CAMERAS / 2);
+    ck_assert(!place.up_located);
+    ck_assert_mem_eq(place.lie.up, before.lie.up, sizeof before.lie.up);
+}
+END_TEST
+
 START_TEST(given) {
     put_capture(RN_CAPTURE_OUTDOOR, false, origin);
     scene.lie = (struct rn_lie){.up = {0, -1, 0},
@@ -213,6 +285,9 @@ int main(void) {
     tcase_add_loop_test(tests, kinds, 0, 2 * RN_CAPTURE_KINDS);
     tcase_add_loop_test(tests, bounds_are_the_objects, 0, 2);
     tcase_add_loop_test(tests, far_from_the_origin, 0, RN_CAPTURE_KINDS);
+    tcase_add_loop_test(tests, gps_says_which_way_is_up, 0, 2);
+    tcase_add_loop_test(tests, gps_that_says_too_little, 0, 3);
+    tcase_add_test(tests, up_by_cameras_that_gps_agrees_with);
     tcase_add_test(tests, given);
     tcase_add_test(tests, depths);
     tcase_add_test(tests, told_to_the_end);
