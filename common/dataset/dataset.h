@@ -238,6 +238,7 @@ enum rn_status rn_dataset_reproject_photos(const struct rn_dataset *dataset,
 // Where on Earth the cameras stood, by GPS.
 struct rn_located {
     size_t count;  // of frames that it is known by; 0: GPS does not say, or not well enough
+    size_t of;     // that it says a place of
     double up[3];  // unit
     double metres; // a dataset unit
     double off_m;  // root mean square of how far GPS is from where the cameras stand, as fitted

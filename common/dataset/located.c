@@ -150,7 +150,7 @@ enum rn_status rn_dataset_locate(const struct rn_dataset *dataset, struct rn_loc
     struct rn_located found = {0};
     bool said = false;
     if (stands && work) {
-        size_t count = gather(dataset, stands);
+        size_t count = found.of = gather(dataset, stands);
         for (int round = 0; round < ROUNDS; round++) {
             said = fit(stands, count, &found) && 2 * found.count > count;
             sift(stands, count, work);

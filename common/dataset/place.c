@@ -366,6 +366,8 @@ void rn_reader_tell_place(struct rn_reader *reader, const struct rn_scene_place 
         place->tilt_deg);
     if (place->located.count)
         rn_problems_add(reader->problems, RN_SEVERITY_INFO, reader->folder,
-                        "by the GPS of %zu photographs, which is off by %.2g m, a unit is %.3g m",
-                        place->located.count, place->located.off_m, place->located.metres);
+                        "by the GPS of %zu of %zu photographs, which is off by %.2g m, a unit is "
+                        "%.3g m",
+                        place->located.count, place->located.of, place->located.off_m,
+                        place->located.metres);
 }

@@ -160,6 +160,7 @@ def test_photographs_near_each_other_by_gps_are_matched(make_daemon, tmp_path, s
     assert len(set(map(tuple, pairs))) == len(pairs)
     assert sum(b - a < 10 for a, b in pairs) > 7 * 9
     assert sum(b - a == 100 for a, b in pairs) == (60 if placed else 0)
+    assert ("--Mapper.abs_pose_min_num_inliers" in log) == placed
 
 
 def degrees(angle):

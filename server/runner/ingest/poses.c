@@ -37,7 +37,7 @@ struct search {
     char folder[PATH_MAX];
     struct rn_photos *photos;
     char said[RN_PROGRAM_LAST_WORDS]; // of the mapper, why it began with nothing
-    bool masked, exhaustive;
+    bool masked, exhaustive, placed;
     size_t pairs;
     int features; // a photograph, at most
     char took[128];
@@ -225,6 +225,7 @@ static void choose_effort(struct search *search) {
     const struct rn_photos *photos = search->photos;
     size_t all = photos->count * (photos->count - 1) / 2;
     search->exhaustive = all <= EXHAUSTIVE_PAIRS;
+    search->placed = rn_pairs_are_placed(photos);
     search->pairs = search->exhaustive ? all : rn_pairs_expected(photos);
     double features = MATCHING_S / (FEATURE_S * (double)search->pairs);
     search->features = (int)fmin(fmax(features, FEATURES_FEWEST), FEATURES_MOST);
@@ -310,9 +311,8 @@ static enum rn_status match(struct search *search, const char *database, const c
                     search->exhaustive || !search->photos->in_order
                         ? ""
                         : " and, since names count upwards, with those near it",
-                    search->exhaustive || !rn_pairs_are_placed(search->photos)
-                        ? ""
-                        : " and, by GPS, with those around it",
+                    search->exhaustive || !search->placed ? ""
+                                                          : " and, by GPS, with those around it",
                     search->pairs, search->features);
     const char *const argv[] = {search->exhaustive ? "exhaustive_matcher" : "matches_importer",
                                 "--database_path",
@@ -337,11 +337,15 @@ static enum rn_status map(struct search *search, const char *database, const cha
     char sparse[PATH_MAX + 8], first[PATH_MAX + 32];
     snprintf(sparse, sizeof sparse, "%s/sparse", search->folder);
     snprintf(first, sizeof first, "%s/0/images.bin", sparse);
-    const char *const argv[] = {"mapper", "--database_path",
-                                database, "--image_path",
-                                images,   "--output_path",
-                                sparse,   "--Mapper.num_threads",
-                                threads,  NULL};
+    // Photographs from the air overlap little, and by GPS it shows who was placed wrongly.
+    const char *const argv[] = {
+        "mapper", "--database_path",
+        database, "--image_path",
+        images,   "--output_path",
+        sparse,   "--Mapper.num_threads",
+        threads,  search->placed ? "--Mapper.abs_pose_min_num_inliers" : NULL,
+        "15",     "--Mapper.abs_pose_min_inlier_ratio",
+        "0.15",   NULL};
     struct rn_error failure = {.status = RN_OK};
     enum rn_status status = rn_mkdirs(sparse, 0777, &failure);
     if (status == RN_OK) status = run_colmap(search, "placing cameras", argv, &failure);
