@@ -48,15 +48,27 @@ enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *
     return status;
 }
 
-static int64_t count_bytes(const char *path) {
+// What a killed runner had not written to its end: hidden, as is the step that all show, or
+// partial.
+static bool is_rest(const char *name) {
+    size_t size = strlen(name);
+    if (size > 8 && strcmp(name + size - 8, ".partial") == 0) return true;
+    return *name == '.' && strcmp(name, ".") != 0 && strcmp(name, "..") != 0 &&
+           strcmp(name, ".step") != 0;
+}
+
+// Of a job that is over: rests are removed, the bytes of all else are counted.
+static int64_t clear_and_count(const char *path) {
     int64_t bytes = 0;
     struct dirent *entry;
     struct stat about;
     DIR *folder = opendir(path);
     if (folder == NULL) return 0;
     while ((entry = readdir(folder)) != NULL)
-        if (fstatat(dirfd(folder), entry->d_name, &about, AT_SYMLINK_NOFOLLOW) == 0 &&
-            S_ISREG(about.st_mode))
+        if (is_rest(entry->d_name) && unlinkat(dirfd(folder), entry->d_name, 0) == 0)
+            continue;
+        else if (fstatat(dirfd(folder), entry->d_name, &about, AT_SYMLINK_NOFOLLOW) == 0 &&
+                 S_ISREG(about.st_mode))
             bytes += about.st_size;
     closedir(folder);
     return bytes;
@@ -105,6 +117,6 @@ void rn_frames_take_back(struct rn_control *control, struct rn_task *task) {
             rn_log(RN_LOG_WARN, "the frames of job %s stay in %s: %s", task->row.id, places.lent,
                    err.text);
     }
-    if (places.kept != NULL) task->row.size_bytes = count_bytes(places.kept);
+    if (places.kept != NULL) task->row.size_bytes = clear_and_count(places.kept);
     free_places(&places);
 }

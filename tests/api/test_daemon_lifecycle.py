@@ -148,6 +148,30 @@ def test_what_was_not_finite_is_recorded_counted_and_told(make_daemon, photograp
     assert 'ripnerf_nonfinite_total{kind="steps_rejected"} 0\n' in metrics
 
 
+def test_pictures_that_a_crash_left_half_written_go(programs, photographs, tmp_path):
+    """The daemon and a runner are killed in the midst of a frame; nothing of it stays once the path is over."""
+    daemon = Daemon(*programs, tmp_path / "d", {"RIPNERF_FAKE_HELD_PICTURES": "4"}).start()
+    try:
+        daemon.wait(daemon.upload("data", photographs))
+        daemon.train("s")
+        daemon.hold()
+        path = daemon.submit(type="path", scene="s", camera_path=PATH)
+        lent = wait_for(lambda: list((tmp_path / "d").glob(f"scenes/*/frames/{path}/00003.png")))[0].parent
+        runners = daemon.runners()
+        daemon.stop(signal.SIGKILL)
+        for pid in runners:
+            os.kill(pid, signal.SIGKILL)
+        for name in (".00004.png.77-1.tmp", ".part-4", ".film.mp4", "scene.safetensors.partial"):
+            (lent / name).write_bytes(bytes(100000))
+        daemon.let_go_on()
+        daemon.start()
+        assert daemon.wait(path)["result"]["frames"] == 41
+        kept = os.listdir(tmp_path / "d" / "jobs" / path / "frames")
+        assert sorted(kept) == [".step", *(f"{i:05}.png" for i in range(41)), "SHA256SUMS"]
+    finally:
+        daemon.stop()
+
+
 def test_queue(own):
     first, second, third = train(own, "a"), train(own, "b"), train(own, "c", max_steps=5)
     wait_for_step(own, first, 1)
@@ -503,13 +527,17 @@ def test_kill_daemon_in_an_import(programs, photographs, tmp_path):
     try:
         held.touch()
         job = daemon.upload("data", photographs)
-        daemon.wait(job, ["running"])
+        dataset = daemon.wait(job, ["running"])["dataset"]
         daemon.stop(signal.SIGKILL)
+        half = tmp_path / "d" / "datasets" / dataset / "half.png"  # as of an attempt that had begun to write
+        half.parent.mkdir()
+        half.write_bytes(b"x")
         held.unlink()
         daemon.start()
         record = daemon.wait(job)
         assert record["state"] == "succeeded" and record["attempt"] == 2
         assert daemon.get("/v1/datasets/data").status == 200
+        assert not half.exists()
         wait_for(lambda: not list((tmp_path / "d" / "spool").iterdir()))
     finally:
         daemon.stop()

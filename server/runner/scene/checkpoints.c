@@ -70,8 +70,7 @@ static void remove_file(const char *scene_folder, const char *name) {
 }
 
 static void remove_if_temporary(void *context, const char *name) {
-    const char *suffix = strrchr(name, '.');
-    if (*name == '.' && suffix && strcmp(suffix, ".tmp") == 0) remove_file(context, name);
+    if (*name == '.' && strstr(name, ".tmp")) remove_file(context, name);
 }
 
 enum rn_status rn_checkpoints_prepare(const char *scene_folder, struct rn_error *err) {
