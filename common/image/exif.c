@@ -11,12 +11,8 @@
 #define EXIF_FOLDER 0x8769
 #define GPS_FOLDER 0x8825
 #define FOCAL_LENGTH 0x920a
-#define LATITUDE_REF 1
-#define LATITUDE 2
-#define LONGITUDE_REF 3
-#define LONGITUDE 4
-#define ALTITUDE_REF 5
-#define ALTITUDE 6
+#define GPS_FIRST 1 // GPSLatitudeRef
+#define GPS_LAST 6  // GPSAltitude
 #define TYPE_SHORT 3
 #define MAX_TEXT 64         // bytes of a maker's or model's name that count
 #define NOTHING 2166136261u // FNV-1a of no bytes
@@ -95,28 +91,16 @@ static double sixtieths(const struct block *block, size_t entry, uint32_t count)
     return sum;
 }
 
+// Tags come in pairs, a latitude's, a longitude's and an altitude's: which side of 0, and how far.
 static void read_gps_entry(const struct block *block, size_t entry, double place[3],
                            double sign[3]) {
-    switch (number(block, entry, 2)) {
-    case LATITUDE_REF:
-        sign[0] = number(block, entry + 8, 1) == 'S' ? -1 : 1;
-        break;
-    case LATITUDE:
-        place[0] = sixtieths(block, entry, 3);
-        break;
-    case LONGITUDE_REF:
-        sign[1] = number(block, entry + 8, 1) == 'W' ? -1 : 1;
-        break;
-    case LONGITUDE:
-        place[1] = sixtieths(block, entry, 3);
-        break;
-    case ALTITUDE_REF:
-        sign[2] = number(block, entry + 8, 1) == 1 ? -1 : 1;
-        break;
-    case ALTITUDE:
-        place[2] = sixtieths(block, entry, 1);
-        break;
-    }
+    static const uint32_t below[3] = {'S', 'W', 1};
+    uint32_t tag = number(block, entry, 2), axis = (tag - 1) / 2;
+    if (tag < GPS_FIRST || tag > GPS_LAST) return;
+    if (tag % 2)
+        sign[axis] = number(block, entry + 8, 1) == below[axis] ? -1 : 1;
+    else
+        place[axis] = sixtieths(block, entry, axis < 2 ? 3 : 1);
 }
 
 // How many entries, of 12 bytes from *ret_first, a folder has within the block.
