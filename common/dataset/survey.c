@@ -363,15 +363,18 @@ static void find_duplicates(struct all *all, double distance) {
                         apart.count, apart.text);
 }
 
-// From within a room cameras look any way.
+// From within a room cameras look any way, over a field each at its own piece, and what cameras
+// that face one way see is the scene.
 static void find_looking_away(struct all *all) {
     struct names names = {.count = 0};
-    bool within = all->dataset->lie.kind == RN_CAPTURE_ROOM;
+    enum rn_capture_kind kind = all->dataset->lie.kind;
+    bool all_is_held =
+        kind == RN_CAPTURE_ROOM || kind == RN_CAPTURE_DRONE || rn_faces_one_way(all->dataset);
     for (size_t i = 0; i < all->count; i++)
         if (!rn_camera_looks_at(&all->frames[i]->camera, &all->dataset->bounds))
             add_name(&names, all->frames[i]->name);
     all->found.looking_away = (double)names.count;
-    if (names.count && !within)
+    if (names.count && !all_is_held)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
                         "%zu of %zu cameras look away from the bounds: %s", names.count, all->count,
                         names.text);

@@ -281,9 +281,11 @@ START_TEST(cameras_that_look_away) {
     document = next;
     put_photos();
     put_photo(VIEWS, 1, 99);
-    survey();
+    read_ring();
+    if (_i) dataset->lie.kind = _i == 1 ? RN_CAPTURE_ROOM : RN_CAPTURE_DRONE; // which hold it all
+    look();
     ck_assert_double_eq(found.looking_away, 1);
-    ck_assert(tells("1 of 25 cameras look away from the bounds: r_24"));
+    ck_assert_int_eq(tells("1 of 25 cameras look away from the bounds: r_24"), _i == 0);
 }
 END_TEST
 
@@ -422,7 +424,7 @@ int main(void) {
     tcase_add_loop_test(tests, cameras_that_are_soft, 0, 4);
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, tests_of_what_is_learnt_by_heart);
-    tcase_add_test(tests, cameras_that_look_away);
+    tcase_add_loop_test(tests, cameras_that_look_away, 0, 3);
     tcase_add_loop_test(tests, heights, 0, 5);
     tcase_add_loop_test(tests, not_looked_at, 0, 2);
     tcase_add_loop_test(tests, exposures, 0, 2);
