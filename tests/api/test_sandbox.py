@@ -8,6 +8,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from support.checked import make_tar
 from support.photographs import pose, write_dataset
@@ -92,6 +93,17 @@ def test_imports_have_a_deadline(make_daemon, tmp_path):
     job = daemon.wait(daemon.upload("many", many))
     assert job["state"] == "failed" and job["problem"]["status"] == 413, job
     assert "--import-time" in job["problem"]["detail"]
+
+
+def test_what_an_import_lacks_memory_for_names_the_limit(make_daemon, tmp_path):
+    """One decoded photograph of 4 megapixels is more than the limit."""
+    folder = write_dataset(tmp_path / "source")
+    for path in (folder / "train").glob("*.png"):
+        Image.new("RGB", (2000, 2000)).save(path)
+    daemon = make_daemon(memory_limit="8M")
+    job = daemon.wait(daemon.upload("data", folder))
+    assert job["state"] == "failed" and job["problem"]["status"] == 413, job
+    assert "8 MiB" in job["problem"]["detail"] and "--memory-limit" in job["problem"]["detail"]
 
 
 def test_pax_names(make_daemon, tmp_path):

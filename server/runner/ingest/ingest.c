@@ -89,6 +89,19 @@ static enum rn_status too_late(const struct ingest *ingest, struct rn_error *err
                         (long long)ingest->order.max_seconds);
 }
 
+// A want of memory is the limit's doing, where there is one, and it can be raised.
+static enum rn_status too_little_memory(const struct ingest *ingest, struct rn_error *err) {
+    int64_t limit = rn_int_or(ingest->order.memory_limit_bytes, 0);
+    char text[sizeof err->text], where[sizeof err->where];
+    if (limit <= 0) return RN_ERROR_NO_MEMORY;
+    snprintf(text, sizeof text, "%s", err->text);
+    snprintf(where, sizeof where, "%s", err->where);
+    return rn_error_set(err, RN_ERROR_LIMIT, where,
+                        "%.300s; an import may take %lld MiB, start ripnerfd with a larger "
+                        "--memory-limit",
+                        text, (long long)(limit >> 20));
+}
+
 // Before a picture is decoded: how many are to be, and of how many pixels in all.
 static enum rn_status check_size(const struct ingest *ingest, const struct rn_dataset *source,
                                  struct rn_error *err) {
@@ -321,6 +334,7 @@ static enum rn_status ingest_all(struct ingest *ingest, char **ret_json, struct 
     rn_problems_finish(&problems);
     rn_photos_finish(&ingest->photos);
     if (status == RN_ERROR_CANCELLED && ingest->late) status = too_late(ingest, err);
+    if (status == RN_ERROR_NO_MEMORY) status = too_little_memory(ingest, err);
     return status;
 }
 
