@@ -118,6 +118,22 @@ START_TEST(far_from_the_origin) {
 }
 END_TEST
 
+// Degrees of the WGS 84 ellipsoid are so long (NIMA TR8350.2), and none between its last longitude
+// and its first.
+START_TEST(metres_on_earth) {
+    static const struct {
+        double from[3], of[3], metres[3];
+    } known[] = {{{0, 0, 0}, {0.001, 0.001, 5}, {111.31949, 110.57428, 5}},
+                 {{45, 7, 20}, {45.001, 6.999, 0}, {-78.84683, 111.13177, -20}},
+                 {{-60, 179.9995, 0}, {-60.001, -179.9995, 0}, {55.80000, -111.41229, 0}},
+                 {{90, 0, 0}, {89.999, 90, 0}, {0, -111.69398, 0}}};
+    double metres[3];
+    rn_located_metres(known[_i].of, known[_i].from, metres);
+    for (int i = 0; i < 3; i++)
+        ck_assert_double_eq_tol(metres[i], known[_i].metres[i], 1e-5);
+}
+END_TEST
+
 // A flight straight down over a field, all cameras turned one way: `lanes` beside each other, 40 m
 // apart, over a place whose GPS is off by `off_m` at most. In the dataset a unit is 8 m and y is
 // up.
@@ -285,6 +301,7 @@ int main(void) {
     tcase_add_loop_test(tests, kinds, 0, 2 * RN_CAPTURE_KINDS);
     tcase_add_loop_test(tests, bounds_are_the_objects, 0, 2);
     tcase_add_loop_test(tests, far_from_the_origin, 0, RN_CAPTURE_KINDS);
+    tcase_add_loop_test(tests, metres_on_earth, 0, 4);
     tcase_add_loop_test(tests, gps_says_which_way_is_up, 0, 2);
     tcase_add_loop_test(tests, gps_that_says_too_little, 0, 3);
     tcase_add_test(tests, up_by_cameras_that_gps_agrees_with);
