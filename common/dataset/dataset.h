@@ -153,6 +153,7 @@ void rn_problems_finish(struct rn_problems *problems);
 // RN_ERROR_NO_MEMORY.
 enum rn_status rn_dataset_read(const char *folder, struct rn_problems *problems,
                                struct rn_dataset **ret_dataset, struct rn_error *err) RN_MUST_CHECK;
+struct rn_photos;
 // As rn_dataset_read, with what the caller knows better; NULL options: nothing. RN_ERROR_INVALID
 // for a format of no such name.
 struct rn_read_options {
@@ -163,6 +164,9 @@ struct rn_read_options {
     bool up_given, cropped;
     double up[3];       // of any length above 0
     struct rn_box crop; // only points in it say where the scene is, and it lies in the bounds
+    // The photographs as they were taken, by the same names: what their EXIF said holds for copies
+    // that lost it. NULL: none.
+    const struct rn_photos *taken;
 };
 enum rn_status rn_dataset_read_as(const char *folder, const struct rn_read_options *options,
                                   struct rn_problems *problems, struct rn_dataset **ret_dataset,

@@ -130,6 +130,7 @@ static bool fit(struct stand *stands, size_t count, struct rn_located *found) {
     }
     for (int i = 0; i < 3; i++)
         found->up[i] = turn[2][i];
+    rn_make_unit(found->up); // to the last bit
     found->off_m = sqrt(squares);
     return found->metres > 0 && found->off_m < SHARPEST * second_spread(covariance);
 }

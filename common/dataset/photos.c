@@ -32,6 +32,12 @@ bool rn_is_film(const char *name) {
     return has_extension(name, films);
 }
 
+bool rn_photo_is_at(const struct rn_photo *photo, const char *path) {
+    size_t size = strlen(photo->name), length = strlen(path);
+    return length > size && path[length - size - 1] == '/' &&
+           strcmp(path + length - size, photo->name) == 0;
+}
+
 static void finish_photo(struct rn_photo *photo) {
     free(photo->name);
     free(photo->path);

@@ -49,6 +49,9 @@ enum rn_status rn_photos_check(struct rn_photos *photos, const char *name, int t
                                void *context, struct rn_findings *ret_findings,
                                struct rn_error *err) RN_MUST_CHECK;
 
+// Whether `path` is that of the photograph, in whatever folder.
+bool rn_photo_is_at(const struct rn_photo *photo, const char *path);
+
 // Whether a file of this name is a film, by its extension.
 bool rn_is_film(const char *name);
 

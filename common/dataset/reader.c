@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "common/base/names.h"
+#include "common/dataset/photos.h"
 
 #define SHAPE_TOLERANCE 0.01 // of the ratio of width to height
 
@@ -246,6 +247,18 @@ static void tell_kind(struct rn_reader *reader, const char *where,
                         info->bit_depth);
 }
 
+// What the file's EXIF says of the camera, or that of the photograph which the file is a copy of.
+static void take_exif(const struct rn_reader *reader, const struct rn_image_info *own,
+                      struct rn_frame *frame) {
+    const struct rn_photos *taken = reader->options ? reader->options->taken : NULL;
+    const struct rn_image_info *info = own;
+    for (size_t i = 0; taken && i < taken->count && info == own; i++)
+        if (rn_photo_is_at(&taken->items[i], frame->path)) info = &taken->items[i].info;
+    frame->camera_key = info->camera_key;
+    frame->located = info->located;
+    memcpy(frame->located_at, info->located_at, sizeof info->located_at);
+}
+
 enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, const char *named,
                                const char *extension, struct rn_frame *frame,
                                struct rn_error *err) {
@@ -265,9 +278,7 @@ enum rn_status rn_reader_photo(struct rn_reader *reader, const char *where, cons
     }
     tell_kind(reader, where, &info);
     frame->held = info.orientation;
-    frame->camera_key = info.camera_key;
-    frame->located = info.located;
-    memcpy(frame->located_at, info.located_at, sizeof info.located_at);
+    take_exif(reader, &info, frame);
     frame->has_alpha = info.has_alpha;
     frame->camera.width = info.width;
     frame->camera.height = info.height;

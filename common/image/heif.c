@@ -62,6 +62,22 @@ static struct rn_image_info describe(const struct heif_image_handle *handle) {
                                   .orientation = 1};
 }
 
+// What the photograph's EXIF says of its camera; how that was held the decoder heeds itself.
+static void read_exif(const struct heif_image_handle *handle, struct rn_image_info *info) {
+    heif_item_id id;
+    if (heif_image_handle_get_list_of_metadata_block_IDs(handle, "Exif", &id, 1) != 1) return;
+    size_t size = heif_image_handle_get_metadata_size(handle, id);
+    uint8_t *block = size > 4 ? malloc(size) : NULL;
+    if (block && heif_image_handle_get_metadata(handle, id, block).code == heif_error_Ok) {
+        // It begins with the number, big-endian, of bytes before the TIFF header.
+        size_t from = 4 + ((size_t)block[0] << 24 | (size_t)block[1] << 16 | (size_t)block[2] << 8 |
+                           block[3]);
+        if (from < size) rn_exif_read(block + from, size - from, info);
+    }
+    info->orientation = 1;
+    free(block);
+}
+
 static enum rn_status probe_heif(const uint8_t *bytes, size_t size_bytes, const char *where,
                                  struct rn_image_info *ret_info, struct rn_error *err) {
     struct heif_context *context = NULL;
@@ -69,6 +85,7 @@ static enum rn_status probe_heif(const uint8_t *bytes, size_t size_bytes, const 
     enum rn_status status = open_picture(bytes, size_bytes, where, &context, &handle, err);
     if (status) return status;
     *ret_info = describe(handle);
+    read_exif(handle, ret_info);
     close_picture(context, handle);
     return RN_OK;
 }

@@ -119,7 +119,11 @@ static enum rn_status probe_tiff(const uint8_t *bytes, size_t size_bytes, const 
     if (!tiff) return damaged(&source, where, err);
     enum rn_status status = read_header(tiff, &source, where, ret_info, err);
     TIFFClose(tiff);
-    return status;
+    if (status) return status;
+    int orientation = ret_info->orientation;
+    rn_exif_read(bytes, size_bytes, ret_info); // whose tags are among the file's own
+    ret_info->orientation = orientation;
+    return RN_OK;
 }
 
 // The library multiplies colours with alpha; ours are straight.

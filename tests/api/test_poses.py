@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import math
 import os
 import re
 import shutil
@@ -161,6 +162,21 @@ def test_photographs_near_each_other_by_gps_are_matched(make_daemon, tmp_path, s
     assert sum(b - a < 10 for a, b in pairs) > 7 * 9
     assert sum(b - a == 100 for a, b in pairs) == (60 if placed else 0)
     assert ("--Mapper.abs_pose_min_num_inliers" in log) == placed
+
+
+@pytest.mark.parametrize("orientation", [1, 3])  # as it is; turned upright into a PNG, which has no EXIF
+def test_where_photographs_were_taken_is_compared_with_their_poses(make_daemon, tmp_path, orientation):
+    """A circle of 100 metres, which the stand-in has as one of 4 units."""
+    for i in range(12):
+        angle, exif = math.radians(30 * i), Image.Exif()
+        exif[0x0112] = orientation
+        north, east = 47 + 100 * math.cos(angle) / 111_170, 8 + 100 * math.sin(angle) / 76_050
+        exif[0x8825] = {1: "N", 2: degrees(north), 3: "E", 4: degrees(east), 5: b"\0", 6: IFDRational(100)}
+        Image.new("RGB", (16, 16), (20 * i, 100, 200)).save(tmp_path / f"IMG_{i:02}.jpg", exif=exif)
+    daemon = make(make_daemon)
+    assert daemon.wait(import_photos(daemon, tmp_path))["state"] == "succeeded"
+    (told,) = [text for text in problems_of(daemon) if "GPS" in text and "a unit is" in text]
+    assert "by the GPS of 12 of 12 photographs" in told and "a unit is 25 m" in told, told
 
 
 def degrees(angle):

@@ -276,6 +276,7 @@ static enum rn_status find_poses(struct ingest *ingest, struct rn_problems *prob
     tell_all_as_unpacked(ingest, problems);
     ingest->folder = ingest->posed;
     options.format = "colmap";
+    options.taken = &ingest->photos;
     options.masks = NULL; // they lie where COLMAP looks for them
     on_stage(ingest, "importing", 0, 0);
     status = rn_dataset_read_as(ingest->posed, &options, problems, ret_source, err);

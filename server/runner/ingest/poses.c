@@ -411,14 +411,8 @@ enum rn_status rn_poses_find(const struct rn_poses_order *order, char **ret_fold
 // ---- what became of the photographs ----
 
 static bool is_placed(const struct rn_photo *photo, const struct rn_dataset *dataset) {
-    size_t size = strlen(photo->name);
-    for (size_t i = 0; i < dataset->frame_count; i++) {
-        const char *path = dataset->frames[i].path;
-        size_t length = strlen(path);
-        if (length > size && path[length - size - 1] == '/' &&
-            strcmp(path + length - size, photo->name) == 0)
-            return true;
-    }
+    for (size_t i = 0; i < dataset->frame_count; i++)
+        if (rn_photo_is_at(photo, dataset->frames[i].path)) return true;
     return false;
 }
 

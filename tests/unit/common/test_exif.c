@@ -1,8 +1,7 @@
 // What a photograph's EXIF block says of its camera.
-#include <string.h>
-
+#include "common/dataset/photos.h"
 #include "common/image/codec.h"
-#include "tests/support/suite.h"
+#include "tests/unit/common/dataset_fixture.h"
 
 // Writes `value` as the block has numbers; returns the place behind it.
 static uint8_t *put_number(uint8_t *to, bool big, int bytes, uint32_t value) {
@@ -108,8 +107,32 @@ START_TEST(gps_says_where_a_photograph_was_taken) {
 }
 END_TEST
 
+// COLMAP is given copies of photographs that it does not read, which have no EXIF.
+START_TEST(what_exif_said_holds_for_a_copy) {
+    struct rn_photo photo = {
+        .name = (char *)(_i ? "a.png" : "b.png"),
+        .info = {.camera_key = 7, .located = true, .located_at = {1, 2, 3}, .orientation = 6}};
+    struct rn_photos taken = {.items = &photo, .count = 1};
+    struct rn_read_options options = {.taken = &taken};
+    struct rn_image image = noise(8, 8, 1);
+    ck_assert_int_eq(rn_mkdirs(in_folder("images"), 0777, &err), RN_OK);
+    ck_assert_int_eq(rn_image_write_png(&image, in_folder("images/a.png"), 1, &err), RN_OK);
+    rn_image_finish(&image);
+    put_text("transforms.json", "{\"fl_x\":40,\"w\":8,\"h\":8,\"frames\":[{\"file_path\":"
+                                "\"images/a.png\",\"transform_matrix\":" POSE "}]}");
+    ck_assert_int_eq(rn_dataset_read_as(folder, &options, &problems, &dataset, &err), RN_OK);
+    const struct rn_frame *frame = &dataset->frames[0];
+    ck_assert_uint_eq(frame->camera_key, _i ? 7 : 0);
+    ck_assert_int_eq(frame->located, _i);
+    ck_assert_double_eq(frame->located_at[2], _i ? 3 : 0);
+    ck_assert_int_eq(frame->held, 1); // the copy stands upright
+}
+END_TEST
+
 int main(void) {
     TCase *exif = tcase_create("exif");
+    tcase_add_checked_fixture(exif, setup, teardown);
+    tcase_add_loop_test(exif, what_exif_said_holds_for_a_copy, 0, 2);
     tcase_add_test(exif, a_camera_is_the_same_however_its_exif_is_written);
     tcase_add_loop_test(exif, gps_says_where_a_photograph_was_taken, 0, 2);
     Suite *suite = suite_create("exif");

@@ -394,6 +394,21 @@ START_TEST(webp) {
 END_TEST
 #endif
 
+#if defined RN_HAVE_TIFF || defined RN_HAVE_HEIF
+// EXIF of a camera whose model is "abc", held upside down.
+static const uint8_t abc_exif[] = {'I', 'I', 42, 0, 8, 0,   0,   0,   2, 0,    0x10, 0x01, 2,
+                                   0,   4,   0,  0, 0, 'a', 'b', 'c', 0, 0x12, 0x01, 3,    0,
+                                   1,   0,   0,  0, 3, 0,   0,   0,   0, 0,    0,    0};
+
+static uint32_t abc_key(void) {
+    struct rn_image_info info;
+    rn_exif_read(abc_exif, sizeof abc_exif, &info);
+    ck_assert_int_eq(info.orientation, 3);
+    ck_assert_uint_ne(info.camera_key, 0);
+    return info.camera_key;
+}
+#endif
+
 #ifdef RN_HAVE_TIFF
 // Straight colours and alpha, the alpha high enough that multiplying and dividing keeps colours.
 static void put_tiff(const char *name, int bits, int channels, int compression) {
@@ -409,6 +424,7 @@ static void put_tiff(const char *name, int bits, int channels, int compression) 
     TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
     TIFFSetField(tiff, TIFFTAG_ROWSPERSTRIP, 7);
     TIFFSetField(tiff, TIFFTAG_ORIENTATION, 6);
+    TIFFSetField(tiff, TIFFTAG_MODEL, "abc");
     uint16_t straight = EXTRASAMPLE_UNASSALPHA;
     if (channels == 4) TIFFSetField(tiff, TIFFTAG_EXTRASAMPLES, 1, &straight);
     for (int y = 0; y < HIGH; y++) {
@@ -438,6 +454,7 @@ START_TEST(tiff) {
     struct rn_image_info info = probe_kind("a.tif");
     ck_assert_int_eq(info.bit_depth, kinds[_i].bits);
     ck_assert_int_eq(info.orientation, 6);
+    ck_assert_uint_eq(info.camera_key, abc_key());
     ck_assert_int_eq(info.has_alpha, kinds[_i].channels == 4);
     read_kind("a.tif", &read);
     for (int i = 0; i < WIDE * HIGH; i++)
@@ -469,6 +486,7 @@ static void put_heif(const char *name, enum heif_compression_format format) {
     struct heif_context *context = heif_context_alloc();
     struct heif_encoder *encoder;
     struct heif_image *out;
+    struct heif_image_handle *handle;
     struct rn_image image = ramp(2 * WIDE, 2 * HIGH);
     int stride;
     ck_assert_int_eq(heif_context_get_encoder_for_format(context, format, &encoder).code, 0);
@@ -482,8 +500,11 @@ static void put_heif(const char *name, enum heif_compression_format format) {
     for (int y = 0; y < image.height; y++)
         for (int x = 0; x < image.width; x++)
             memcpy(plane + y * stride + 3 * x, image.pixels + 4 * (y * image.width + x), 3);
-    ck_assert_int_eq(heif_context_encode_image(context, out, encoder, NULL, NULL).code, 0);
+    ck_assert_int_eq(heif_context_encode_image(context, out, encoder, NULL, &handle).code, 0);
+    ck_assert_int_eq(
+        heif_context_add_exif_metadata(context, handle, abc_exif, sizeof abc_exif).code, 0);
     ck_assert_int_eq(heif_context_write_to_file(context, in_folder(name)).code, 0);
+    heif_image_handle_release(handle);
     heif_image_release(out);
     heif_encoder_release(encoder);
     heif_context_free(context);
@@ -498,6 +519,8 @@ START_TEST(heif) {
     struct rn_image_info info = probe_kind("a.heic");
     ck_assert_int_eq(info.width, 2 * WIDE);
     ck_assert(!info.has_alpha);
+    ck_assert_uint_eq(info.camera_key, abc_key());
+    ck_assert_int_eq(info.orientation, 1); // the decoder turns it where the file says so
     read_kind("a.heic", &read);
     ck_assert_int_le(worst_difference(&plain, &read), 16);
     rn_image_finish(&plain);

@@ -168,6 +168,7 @@ START_TEST(gps_says_which_way_is_up) {
     ck_assert_uint_ge(place.located.count, _i ? CAMERAS / 2 : CAMERAS - 1);
     ck_assert(place.up_located);
     ck_assert_double_gt(place.lie.up[1], cos((_i ? 2 : 0.05) * M_PI / 180));
+    ck_assert_double_le(fabs(place.lie.up[1]), 1);
     ck_assert_double_eq_tol(place.located.metres, 8, _i ? 0.1 : 0.01);
     ck_assert_double_lt(place.located.off_m, _i ? 2 : 0.1);
     ck_assert_int_eq(place.lie.kind, RN_CAPTURE_DRONE);
