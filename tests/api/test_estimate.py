@@ -66,6 +66,16 @@ def test_a_longer_training_is_begun_as_one_of_a_minute(daemon):
     assert result["seconds"] == 600 and result["psnr"] > estimate(daemon)["result"]["psnr"]
 
 
+@pytest.mark.parametrize("passes_s, looked_s", [(15, 0.04 * 2 * 234 + 15), (30, 0.8 * 60)])
+def test_the_last_look_waits_for_steps(make_daemon, photographs, passes_s, looked_s):
+    """Passes over the photographs after the first look, of 9.4 s or 234 steps, would leave the last nothing
+    new to see."""
+    daemon = make_daemon({**FAST, "RIPNERF_FAKE_PASS_S": str(passes_s)})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    measured = estimate(daemon)["result"]["calibration"]
+    assert measured["seconds"][2] == pytest.approx(looked_s, rel=0.06)
+
+
 def test_nothing_of_it_is_kept(daemon):
     estimate(daemon)
     assert daemon.get("/v1/scenes").json["items"] == []

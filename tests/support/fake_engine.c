@@ -4,7 +4,8 @@
 // RIPNERF_FAKE_STEP_US: microseconds a step takes (1000). RIPNERF_FAKE_ROW_US: a rendered row (0).
 // RIPNERF_FAKE_STEP_S: seconds that a step, or a part of a round of views, counts on the training
 // clock (what it took).
-// RIPNERF_FAKE_HOLD: a file; while it is there work stands still, however long a test takes:
+// RIPNERF_FAKE_PASS_S: seconds of that clock that passes over the photographs take, at step 300
+// (0). RIPNERF_FAKE_HOLD: a file; while it is there work stands still, however long a test takes:
 // trainings (of seed RIPNERF_FAKE_HELD_SEED, where that is set) at step RIPNERF_FAKE_HELD_AT
 // (1000), pictures after the first RIPNERF_FAKE_HELD_PICTURES of a process (all), and the making of
 // a trainer at its end where it takes any time. RIPNERF_FAKE_LOAD_MS: milliseconds that making a
@@ -400,7 +401,8 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         usleep(step_us);
         if (stands_still(field)) break;
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
-        field->steps++;
+        if (field->steps++ == 300)
+            field->train_seconds += (double)setting("RIPNERF_FAKE_PASS_S", 0);
         double now = now_s();
         field->train_seconds += step_s ? atof(step_s) : now - last;
         last = now;

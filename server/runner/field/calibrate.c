@@ -11,6 +11,7 @@
 #include "server/runner/scene/describe.h"
 
 #define LONGEST_S 60.0 // a training that is asked for longer is begun as one of that
+#define LATEST 0.8     // of the training, the last look
 #define PROGRESS_S 0.5
 #define CHECKPOINTS 2 // kept of a training
 
@@ -19,6 +20,7 @@ struct rn_calibrating {
     struct rn_train_config config; // as asked for
     struct rn_trainer *trainer;    // NULL before it began
     int look;                      // that is next
+    int64_t first_steps;           // made before the first
     bool validates;
     struct rn_calibration found;
     double began_s, reported_s;
@@ -97,7 +99,16 @@ static void note_look(struct rn_host *host) {
     c->found.memory_bytes = rn_resident_bytes();
     c->found.disk_bytes = disk_bytes(&info);
     c->validates = false;
-    c->look++;
+    if (c->look++ == 0) c->first_steps = progress.step;
+}
+
+// Whether a look is due by time. Passes over the photographs may lie between the first look and the
+// last, in which no step is made: the last waits for as many steps again, to see what they bring.
+static bool is_due(const struct rn_calibrating *c, const struct rn_progress *progress) {
+    double due = RN_CALIBRATION_LOOKED / RN_CALIBRATION_LOOKS * (c->look + 1);
+    bool last = c->look == RN_CALIBRATION_LOOKS - 1;
+    return progress->fraction >= due &&
+           (!last || progress->step >= 2 * c->first_steps || progress->fraction >= LATEST);
 }
 
 // A little of it; *ret_seen: a look's figure is there.
@@ -109,8 +120,7 @@ static enum rn_status go_on(struct rn_host *host, bool *ret_seen, struct rn_erro
     if (c->validates) return rn_trainer_validate(c->trainer, RN_SLICE_MS, ret_seen, err);
     enum rn_status status = rn_trainer_advance(c->trainer, RN_SLICE_MS, err);
     rn_trainer_progress(c->trainer, &progress);
-    double due = RN_CALIBRATION_LOOKED / RN_CALIBRATION_LOOKS * (c->look + 1);
-    c->validates = progress.fraction >= due;
+    c->validates = is_due(c, &progress);
     return status;
 }
 
