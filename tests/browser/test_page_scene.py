@@ -172,7 +172,7 @@ def test_a_report_is_whole_in_one_file(page, fake, downloads):
     page.says("Worst, test:0", "figcaption")
     page.says("30.40 dB", "td")
     cells = page.run("return [...document.querySelectorAll('tr')].map((row) => [...row.cells].map((c) => c.textContent));")
-    assert next(row for row in cells if row[0] == "Scale pyramid")[3:5] == ["8 times", "if over 1.41 times"]
+    assert next(row for row in cells if row[0] == "Scale pyramid")[3:5] == ["8 times the finest footprint", "if over 1.41 times the finest footprint"]
     assert next(row for row in cells if row[0] == "Forward facing")[3:5] == ["87.4 degrees", "if at most 30 degrees"]
 
 

@@ -254,8 +254,8 @@ def test_effects_are_told_in_their_units(page, fake):
     numbers = page.until(
         lambda: [e.text.split("\n") for e in page.all(".effect .number")], "the effects"
     )
-    assert ["8 times", "on if over 1.41 times"] in numbers
-    assert ["8 times"] in numbers  # cones are no question of a number
+    assert ["8 times the finest footprint", "on if over 1.41 times the finest footprint"] in numbers
+    assert ["8 times the finest cone"] in numbers  # cones are no question of a number
     assert numbers[0][1] == "on if over 0 %" and numbers[3] == ["–", "on if over 2/255"]
 
 

@@ -104,7 +104,7 @@ def test_an_effect_says_on_which_side_of_its_threshold_it_is_on(page, fake):
             "[e.querySelector('strong').textContent, [e.querySelector('.number').textContent, Boolean(e.closest('details'))]]));"
     told = page.until(lambda: page.run(shown), "the effects")
     assert told["Forward facing"] == ["52.1 degreeson if at most 30 degrees", True]
-    assert told["Scale pyramid"] == ["8 timeson if over 1.41 times", False]
+    assert told["Scale pyramid"] == ["8 times the finest footprinton if over 1.41 times the finest footprint", False]
     around.update(number=29.9, number_text="29.9 degrees")  # for it, and something else is against it
     page.driver.refresh()
     told = page.until(lambda: page.run(shown), "the effects")
@@ -112,7 +112,7 @@ def test_an_effect_says_on_which_side_of_its_threshold_it_is_on(page, fake):
     for effect in effects.values():
         effect.pop("below", None)  # as an older build described them
     page.driver.refresh()
-    page.until(lambda: page.run(shown).get("Scale pyramid") == ["8 timesthreshold 1.41 times", False], "a threshold")
+    page.until(lambda: page.run(shown).get("Scale pyramid") == ["8 times the finest footprintthreshold 1.41 times the finest footprint", False], "a threshold")
 
 
 def test_how_long_measuring_takes_is_told_before(page, fake):

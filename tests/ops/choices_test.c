@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "server/engine/effects/about.h"
 #include "tests/ops/train_scene.h"
 #include "tests/support/suite.h"
 
@@ -107,10 +108,32 @@ START_TEST(what_is_off_is_not_computed) {
 }
 END_TEST
 
+// A ratio says what is counted, and what it is called where all are alike: no "1 times".
+START_TEST(ratios_say_what_is_counted) {
+    static const struct {
+        enum rn_effect effect;
+        double number;
+        const char *text;
+    } told[] = {{RN_EFFECT_SCALE_PYRAMID, 3, "8 times the finest footprint"},
+                {RN_EFFECT_SCALE_PYRAMID, 0, "all footprints alike"},
+                {RN_EFFECT_SPLIT_PIXELS, 0.001, "all footprints alike"},
+                {RN_EFFECT_CONES, 0, "all cones alike"},
+                {RN_EFFECT_ANISOTROPY, 1, "2 times as long as wide"},
+                {RN_EFFECT_BACKGROUND, 0.01, "1 %"},
+                {RN_EFFECT_CONES, NAN, ""}};
+    char text[32];
+    for (size_t i = 0; i < sizeof told / sizeof *told; i++) {
+        rn_effect_text(told[i].effect, told[i].number, text, sizeof text);
+        ck_assert_str_eq(text, told[i].text);
+    }
+}
+END_TEST
+
 static void add(TCase *tests) {
     tcase_add_test(tests, what_is_off_stays_off);
     tcase_add_test(tests, what_is_asked_for_is_on_where_it_can_be);
     tcase_add_test(tests, what_is_off_is_not_computed);
+    tcase_add_test(tests, ratios_say_what_is_counted);
     tcase_add_test(tests, a_room_holds_its_cameras);
 }
 

@@ -113,7 +113,7 @@ static void settle(const struct rn_evidence *e) {
 }
 
 const struct rn_effect_row rn_effect_anisotropy = {
-    .unit = {" times", 0},
+    .unit = {" times as long as wide", 0, "as long as wide"},
     .optional = true,
     .detect = detect,
     .settle = settle,

@@ -38,7 +38,7 @@ static void settle(const struct rn_evidence *e) {
 }
 
 const struct rn_effect_row rn_effect_cones = {
-    .unit = {" times", 0},
+    .unit = {" times the finest cone", 0, "all cones alike"},
     .side = RN_EFFECT_EITHER, // a picture's pixels are held against the threshold
     .detect = detect,
     .settle = settle,

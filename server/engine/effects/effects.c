@@ -113,7 +113,10 @@ void rn_effect_text(enum rn_effect effect, double number, char *text, size_t cap
     const struct rn_effect_unit *unit = &rows[effect]->unit;
     double told = unit->factor == 0 ? exp2(number) : unit->factor * number;
     *text = '\0';
-    if (!isnan(number)) snprintf(text, capacity, "%.3g%s", told, unit->name);
+    if (unit->one && fabs(told - 1) < 0.005)
+        snprintf(text, capacity, "%s", unit->one);
+    else if (!isnan(number))
+        snprintf(text, capacity, "%.3g%s", told, unit->name);
 }
 
 int rn_effect_below(enum rn_effect effect) {

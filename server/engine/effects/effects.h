@@ -41,7 +41,8 @@ struct rn_evidence {
 // In which the record's number and threshold are told.
 struct rn_effect_unit {
     const char *name; // behind the number: " dB"
-    double factor;    // that the number is told times; 0: as 2 to the power of it
+    double factor;    // that the number is told times; 0: as 2 to the power of it,
+    const char *one;  // and what it is called where that is 1
 };
 // On which side of its threshold a number calls for an effect; neither: no number decides.
 enum rn_effect_side { RN_EFFECT_OVER, RN_EFFECT_AT_MOST, RN_EFFECT_EITHER };

@@ -39,7 +39,7 @@ static void settle(const struct rn_evidence *e) {
 }
 
 const struct rn_effect_row rn_effect_scale_pyramid = {
-    .unit = {" times", 0},
+    .unit = {" times the finest footprint", 0, "all footprints alike"},
     .optional = true,
     .optional_when_off = true,
     .detect = detect,

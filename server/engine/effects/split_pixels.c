@@ -44,7 +44,7 @@ static void march(const struct rn_train_config *config, double done, struct rn_m
 }
 
 const struct rn_effect_row rn_effect_split_pixels = {
-    .unit = {" times", 0},
+    .unit = {" times the finest footprint", 0, "all footprints alike"},
     .side = RN_EFFECT_AT_MOST,
     .optional = true,
     .detect = detect,
