@@ -185,6 +185,44 @@ def test_a_report_has_no_heading_over_nothing(page, fake, downloads):
     assert [e.text for e in page.all("h2")] == ["Views", "Training", "Effects", "Compared with the paper"]
 
 
+def test_a_report_without_test_views_shows_others_and_fits(page, fake, downloads):
+    """Of a capture that withholds none: what it was trained on, rather than nothing; on paper and on a phone."""
+    api = fake("busy")
+    every = api.world.cameras()
+    api.world.cameras = lambda: [view for view in every if view["split"] == "train"]
+    api.world.curve = {**measured((0.06, 8, None), (0, 200, None)), "photographs": False}
+    for point in api.world.curve["points"]:
+        point["psnr_full"] = 40 - 100 * (point["setting"] or {}).get("tolerance", 0)
+    page.open(api.url + "#/scene/sphere-draft")
+    page.says("Not evaluated yet")
+    downloads.clear()
+    page.press("Report")
+    page.open(downloads.saved(page, "sphere-draft-report.html").as_uri())
+    assert [e.text.split(":")[0] + e.text.split(":")[1][:2] for e in page.all("figcaption")] == ["train0", "train1", "train2"]
+    page.says("against the full picture", "p")
+    assert "Gain" not in [e.text for e in page.all("th")]  # nothing was measured
+    for media, width in (("screen", 390), ("print", 673)):  # A4 between margins of 16 mm
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
+        page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": True})
+        assert page.run("return document.documentElement.scrollWidth;") <= width, media
+    why, whole = page.run("return ['th.why', 'table:has(th.why)'].map((css) => document.querySelector(css).clientWidth);")
+    assert why > 0.4 * whole
+
+
+def test_a_report_of_what_was_never_trained_says_why(page, fake):
+    api = fake("busy")
+    with api.world.lock:
+        job = api.world.train({"dataset": "sphere", "scene": "never", "options": {"preset": "draft"}})
+        job["problem"] = {"type": "/problems/damaged", "title": "A stored file is damaged", "status": 500,
+                          "detail": "import the dataset again"}
+        api.world.set_state(job, "failed")
+    page.open(api.url)
+    told = page.run("const {reportOf} = await load('report.js'); return (await reportOf('never')).text();")
+    assert "not: A stored file is damaged: import the dataset again" in told
+    assert "–" not in told and "0 steps" not in told
+
+
 def test_a_ladder_s_table_is_cut_off_neither_on_a_screen_nor_on_paper(page, client):  # noqa: F811  pylint: disable=redefined-outer-name
     client("ladder", "data", "--over", "footprint=rip,mip", "--seeds", "2", "--max-steps", "5", "--equal", "steps",
            "--report", "report.html")

@@ -25,10 +25,13 @@ table { border-collapse: collapse; width: 100%; margin: 6px 0; }
 th, td { text-align: left; vertical-align: top; padding: 4px 10px 4px 0; border-bottom: 1px solid #dfe3e8; }
 th { font-weight: 600; } tr, figure { break-inside: avoid; }
 td.number, th.number { text-align: right; white-space: nowrap; }
+td.told, th.told { text-align: right; } th.why { width: 45%; }
 figure { margin: 10px 0; } figcaption { font-size: 12px; color: #59636f; }
 .trio { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px; }
 .trio img { width: 100%; display: block; }
 .head { width: 100%; max-height: 420px; object-fit: contain; }
+.chart { max-width: 100%; height: auto; }
+@media screen { section { overflow-x: auto; } }
 .chart text { fill: #59636f; font: 11px system-ui, sans-serif; }
 .chart .grid { stroke: #dfe3e8; } .chart .axis { stroke: #c3cad3; }
 .chart .line { fill: none; stroke: #1668b8; stroke-width: 2; }
@@ -111,15 +114,20 @@ async function comparison(scene, item, words, signal) {
             psnr === null ? 'Equal' : decibel(psnr)} at ${size.width} × ${size.height}.`));
 }
 
-/** The worst, the middle and the best view of the newest evaluation; else the first test views. */
+/**
+ * The worst, the middle and the best view of the newest evaluation; else the first that it was not trained on, or, where
+ * there are none, that it was.
+ */
 function viewsToShow(cameras, evaluation) {
   const full = cameras.filter((item) => item.scale === 0);
   const split = evaluation?.result.protocol.split;
   const scored = (evaluation?.result.per_view ?? [])
                      .filter((view) => view.scale === 0 && view.psnr !== null)
                      .sort((a, b) => a.psnr - b.psnr);
-  if (!scored.length)
-    return full.filter((item) => item.split === 'test').slice(0, VIEWS).map((item) => [item, '']);
+  if (!scored.length) {
+    const first = ['test', 'val', 'train'].find((name) => full.some((item) => item.split === name));
+    return full.filter((item) => item.split === first).slice(0, VIEWS).map((item) => [item, '']);
+  }
   const picks = [['Worst, ', 0], ['Middle, ', scored.length >> 1], ['Best, ', scored.length - 1]];
   return picks.filter(([, at], i) => picks.findIndex(([, other]) => other === at) === i)
       .map(
@@ -128,11 +136,14 @@ function viewsToShow(cameras, evaluation) {
       .filter(([item]) => item);
 }
 
+/** Of an ISO time, without its seconds. */
+const minutes = (time) => time.slice(0, 16).replace('T', ' ');
+
 const evaluationTable = (evaluations) =>
     table(
         [
           ['Views'], ['PSNR', 'number'], ['SSIM', 'number'], ['A picture', 'number'],
-          ['At step', 'number'], ['When']
+          ['At step', 'number'], ['When, UTC']
         ],
         evaluations.map(
             ({result, finished_at: when}) =>
@@ -140,26 +151,30 @@ const evaluationTable = (evaluations) =>
                      result.scales.length > 1 ? `, ${plural(result.scales.length, 'scale')}` : ''}`,
                  `${decibel(result.psnr)} ± ${fixed(result.psnr_spread, 2)}`, fixed(result.ssim, 4),
                  milliseconds(result.render_ms_median), whole(result.protocol.step),
-                 when.slice(0, 16)]));
+                 minutes(when)]));
 
 function effectsTable(scene, measured) {
   const gains = new Map(measured?.gains.map((gain) => [gain.name, gain]));
+  const gained = measured ? [['Gain', 'number'], ['Cost', 'number']] : [];
   return scene.effects.length &&
-      table([['Effect'], ['State'], ['Why'], ['Number', 'number'], ['On', 'number'], ['Gain', 'number'], ['Cost', 'number']],
+      table([['Effect'], ['State'], ['Why', 'why'], ['Number', 'told'], ['On', 'told'], ...gained],
             scene.effects.map((effect) => {
               const gain = gains.get(effect.name);
               return [
                 effectTitle(effect.name),
                 effect.decided ? effect.on ? 'on' : 'off' : 'open', effect.reason, effect.number_text ?? '–',
                 conditionWords(effect).replace(/^on /, '') || '–',
-                gain && gain.gain !== null ? decibel(gain.gain) : '–',
-                gain && gain.cost !== null ? `${fixed(100 * gain.cost, 0)} %` : '–'
+                ...(measured ? [gain && gain.gain !== null ? decibel(gain.gain) : '–',
+                                gain && gain.cost !== null ? `${fixed(100 * gain.cost, 0)} %` : '–'] :
+                               [])
               ];
             }));
 }
 
-function facts(scene, dataset) {
-  const {config} = scene;
+/** What is known; of a scene that was never trained, why. */
+function facts(scene, dataset, job) {
+  const {config, psnr, held_out: held} = scene;
+  const problem = job?.problem;
   return [
     [
       'Dataset',
@@ -167,18 +182,21 @@ function facts(scene, dataset) {
                     dataset.height}, ${bytes(dataset.size_bytes)}` :
                 scene.dataset_name
     ],
-    ['Trained', `${whole(scene.steps)} steps in ${seconds(scene.train_seconds)}`],
-    ['Preset', config ? `${config.preset}, seed ${config.seed}, on ${config.train_split}` : '–'],
+    [
+      'Trained',
+      scene.steps ? `${whole(scene.steps)} steps in ${seconds(scene.train_seconds)}` :
+                    problem ? `not: ${problem.title}: ${problem.detail}` : 'not yet'
+    ],
+    ['Preset', config && `${config.preset}, seed ${config.seed}, on ${config.train_split}`],
     [
       'Field',
-      config ? `${config.planes} planes (${config.orientation}) of ${config.grow_to}², ${
-                   config.channels} channels, networks of width ${config.width}` :
-               '–'
+      config && `${config.planes} planes (${config.orientation}) of ${config.grow_to}², ${
+                    config.channels} channels, networks of width ${config.width}`
     ],
-    ['Held out', `${decibel(scene.psnr)} (${scene.held_out ?? '–'})`],
-    ['Kernels', scene.kernels ?? '–'],
-    ['Parameters', scene.parameters_sha256 ? h('code', null, scene.parameters_sha256) : '–']
-  ];
+    ['Held out', psnr !== null && `${decibel(psnr)}${held ? ` (${held})` : ''}`],
+    ['Kernels', scene.kernels],
+    ['Parameters', scene.parameters_sha256 && h('code', null, scene.parameters_sha256)]
+  ].filter(([, value]) => value);
 }
 
 /** What could not be read is left out of the report. */
@@ -190,9 +208,10 @@ const orNull = (promise) => promise.catch(() => null);
  */
 export async function reportOf(id, signal) {
   const scene = await api.scene(id, signal);
-  const [dataset, cameras, evaluations, metrics, curve, measured, info] = await Promise.all([
-    orNull(api.dataset(scene.dataset, signal)), orNull(api.cameras(scene.dataset, signal)),
-    orNull(api.evaluations(scene.id, signal)),
+  const [dataset, cameras, evaluations, job, metrics, curve, measured, info] = await Promise.all([
+    scene.dataset ? orNull(api.dataset(scene.dataset, signal)) : null,
+    scene.dataset ? orNull(api.cameras(scene.dataset, signal)) : null,
+    orNull(api.evaluations(scene.id, signal)), scene.job ? orNull(api.job(scene.job, signal)) : null,
     scene.job ? orNull(api.metrics(scene.job, signal)) : null, orNull(api.curve(scene.id, signal)),
     orNull(api.effects(scene.id, signal)), orNull(api.info(signal))
   ]);
@@ -214,10 +233,8 @@ export async function reportOf(id, signal) {
       'main', null,
       ...[h('h1', null, scene.name),
           h('p', {class: 'quiet'},
-            `A report of ripnerf ${info?.version ?? ''}, ${
-                new Date().toISOString().slice(0, 16).replace(
-                    'T', ' ')} UTC${info ? `, on ${info.device_name || info.device}` : ''}`),
-          factsTable(facts(scene, dataset)), section('Views', shown),
+            `A report of ripnerf ${info?.version ?? ''}, ${minutes(new Date().toISOString())} UTC${info ? `, on ${info.device_name || info.device}` : ''}`),
+          factsTable(facts(scene, dataset, job)), section('Views', shown),
           section(
               'Evaluations',
               evaluations?.length &&
@@ -239,7 +256,9 @@ export async function reportOf(id, signal) {
                   [
                     cost,
                     h('p', {class: 'quiet'},
-                      `${plural(curve.views, 'view')} of ${curve.width} × ${curve.height}, ${
+                      `PSNR over milliseconds a picture, against ${
+                          curve.photographs ? 'photographs' : 'the full picture'}: ${
+                          plural(curve.views, 'view')} of ${curve.width} × ${curve.height}, ${
                           curve.kernels}.`)
                   ]),
           section('Effects', effectsTable(scene, measured)),
@@ -253,7 +272,7 @@ export async function reportOf(id, signal) {
   const {head, body} = root;
   return new Blob(
       [
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">', head.innerHTML,
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">', head.innerHTML,
         `<style>${STYLE}</style></head>`, body.outerHTML.replaceAll(`<img ${SRC}=`, '<img src='),
         '</html>'
       ],
