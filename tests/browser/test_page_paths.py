@@ -428,8 +428,14 @@ def test_a_film_is_asked_for_shown_and_saved(scene, downloads):
     assert scene.api.world.jobs[0]["options"]["video_quality"] == 40
     scene.press("Save film")
     downloads.saved(scene, "sphere-draft*.gif")
-    film, frame = scene.run("return args.map((css) => document.querySelector(css).clientWidth);", "img.film", ".frame")
-    assert film == frame  # as large as the frames, however small it is
+    width = "return document.querySelector(args[0]).clientWidth;"
+    film = scene.run(width, "img.film")
+    assert not scene.all("canvas.frame")[0].is_displayed()
+    scene.press("frames")
+    assert scene.find("canvas.frame") and not scene.all("img.film")[0].is_displayed()  # one of the two, by choice
+    assert film == scene.run(width, ".frame")  # as large as the frames, however small it is
+    scene.press("film")
+    scene.find("img.film")
     scene.open(scene.api.url + "#/scene/sphere-draft")
     scene.until(lambda: scene.ink() > 100, "a picture")
     assert scene.field("Made into").get_attribute("value") == "gif"  # as it was chosen

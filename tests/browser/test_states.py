@@ -438,6 +438,7 @@ def test_path_frames_arrive_and_play(page, fake, downloads):
     page.until(lambda: page.ink("canvas.frame") > 100, "a frame")
     page.says("succeeded", ".page-head .chip")
     page.until(lambda: not page.all(".cells span:not([data-there])"), "all frames")
+    page.press("frames")  # in the film's place
     first = page.text(".player output")
     page.press("Play")
     page.until(lambda: page.text(".player output") != first, "another frame")
@@ -471,8 +472,30 @@ def test_failed_training_says_why(page, fake):
     page.open(fake("failed").url + "#/scene/sphere-paper")
     page.says("Out of memory", ".problem")
     page.says("512 needs 9.1 GiB", ".problem")
-    page.says("training ended without a checkpoint", ".stage")
+    page.says("Training ended without a checkpoint", ".empty")
     page.button("Train again")
+
+
+def test_where_training_left_nothing_there_is_nothing_that_cannot_work(page, fake):
+    """Neither a view's tools nor a chart without a point, from when it fails on."""
+    api = fake("busy")
+    with api.world.lock:
+        job = api.world.train({"dataset": "sphere", "scene": "never", "options": {"preset": "draft"}})
+        job["runner"] = {"slurm_job": "17", "reason": "Priority"}  # it waits
+    page.open(api.url + "#/scene/never")
+    page.find(".viewport-tools")
+    page.find(".stats")
+    with api.world.lock:
+        job["problem"] = {"type": "/problems/damaged", "title": "A stored file is damaged", "status": 500,
+                          "detail": "r_3.png: its bytes do not have their digest; import the dataset again"}
+        api.world.set_state(job, "failed")
+    page.says("Training ended without a checkpoint", ".empty")
+    page.says("import the dataset again", ".problem")
+    for css in (".stage", ".viewport-tools", ".chart", ".stats", ".cost-chart", "[aria-label=Quality]", "#budget"):
+        assert not any(e.is_displayed() for e in page.all(css)), css
+    assert [e.text for e in page.all("h2") if e.is_displayed()] == ["Training", "Record"]
+    page.button("Train again")
+    assert page.complaints() == []
 
 
 def test_evaluation(page, fake):

@@ -79,6 +79,12 @@ def test_of_keys_on_a_heap_the_one_is_dragged_that_can_go_there(turn):
     drag(turn, turn.all(".mark")[2], -30)
     left = times(turn)
     assert left[1] < heap[1] - 0.1 and left[2:] == heap[2:]
+    turn.press("Undo")
+    turn.all(".mark")[1].send_keys(Keys.ENTER)
+    assert turn.run("""
+const mark = document.querySelector('.mark[data-selected=true]');
+const {left, top} = mark.getBoundingClientRect();
+return document.elementFromPoint(left + 12, top + 12).closest('.mark') === mark;"""), "the chosen one lies over it"
 
 
 def test_of_marks_that_overlap_the_nearest_is_dragged(turn):

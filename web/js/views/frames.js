@@ -8,7 +8,7 @@ import {bytes, plural} from '../format.js';
 import {link} from '../router.js';
 import {copyLink} from '../share.js';
 import {called, FILMS} from '../outputs.js';
-import {action, announce, endOf, panel, toast} from '../ui.js';
+import {action, announce, choice, endOf, panel, toast} from '../ui.js';
 
 const KEPT_PIXELS = 48e6;  // of decoded pictures held for playing, 4 bytes each
 const ANNOUNCE_MS = 10_000;
@@ -166,6 +166,17 @@ export function framesPanel(job, signal) {
       .then((items) => items.forEach((item) => arrived(item.index)), () => {});
   followJob(job.id, (type, data) => type === 'frame' && arrived(data.index), signal);
   watch(update, signal);
+  const both = choice('Shown', [['film', 'film'], ['frames', 'frames']], 'film');
+  const showOne = () => {
+    const now = find(state.jobs, job.id) ?? job;
+    const made = Boolean(now.result?.film);
+    both.node.hidden = !made;
+    film.hidden = made ? both.control.value !== 'film' : !job.options?.film || isActive(now);
+    frames.hidden = made && both.control.value === 'film';
+    if (frames.hidden) stop();
+    if (film.hidden) film.querySelector('video')?.pause();
+  };
+  both.control.onChange(showOne);
   const film = filmPanel(job, signal);
   const frames = panel(
       'Frames', {tools: h('div', {class: 'row'}, count, keep)},
@@ -174,10 +185,11 @@ export function framesPanel(job, signal) {
         h('div', {class: 'row'}, h('label', {'for': 'play-rate'}, 'at'), rate,
           h('span', {class: 'quiet'}, 'frames/s'))),
       cells);
-  return [film, frames];
+  watch(showOne, signal);
+  return [both.node, film, frames];
 }
 
-/** The film, once it is made: it plays here and can be kept. */
+/** The film, once it is made: it plays here and can be kept. Whether it is shown says who holds it. */
 function filmPanel(job, signal) {
   const box = h('div');
   const node = panel('Film', {class: 'panel', hidden: true}, box);
@@ -209,7 +221,6 @@ function filmPanel(job, signal) {
     const key = `${now.state} ${now.result?.film ?? ''}`;
     if (key === shown) return;
     shown = key;
-    node.hidden = isActive(now);
     if (now.result?.film)
       show(now).catch(toast);
     else

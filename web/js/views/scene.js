@@ -32,6 +32,8 @@ export async function sceneView(root, {id, query, signal}) {
       h('div', {class: 'page-head'}, h('a', {class: 'back', href: link.home()}, 'Scenes'),
         title, mark, from),
       body);
+  let shown = new AbortController();
+  signal.addEventListener('abort', () => shown.abort(), {once: true});
   const load = async () => {
     try {
       const scene = await api.scene(id, signal);
@@ -55,7 +57,10 @@ export async function sceneView(root, {id, query, signal}) {
               ['from ', h('a', {href: link.dataset(scene.dataset_name)}, scene.dataset_name)] :
               'for viewing; its photographs are not here');
       const start = scene.dataset ? null : scene.viewing?.start;
-      fill(body, page(scene, cameras, start, mark, query, signal));
+      shown.abort();
+      shown = new AbortController();
+      fill(body, page(scene, cameras, start, mark, query, shown.signal));
+      whenBarrenChanges(scene, load, shown.signal);
     } catch (error) {
       if (signal.aborted) return;
       if (!(error instanceof Unreachable)) setChip(mark, 'error');
@@ -90,6 +95,37 @@ function visitedScene(scene, start, query, signal) {
   return view.node;
 }
 
+/** Its training is over and left nothing: there is no picture, and there will be none. */
+function isBarren(scene) {
+  const job = trainingOf(scene);
+  return !scene.viewing && !scene.steps && !isActive(job) &&
+      (scene.state === 'failed' || scene.state === 'new' && job?.state === 'cancelled');
+}
+
+function whenBarrenChanges(scene, load, signal) {
+  const was = isBarren(scene);
+  let told = false;
+  watch(() => {
+    const now = find(state.scenes, scene.id);
+    if (told || !now || isBarren(now) === was) return;
+    told = true;
+    load();
+  }, signal);
+}
+
+/** In the place of all that looks at a scene, where there is nothing to look at. */
+const barrenPage = (scene, signal) => h(
+    'div', {class: 'columns wide'},
+    h('div', {class: 'main-column'},
+      empty(
+          'No picture',
+          h('p', null, 'Training ended without a checkpoint: there is nothing to look at or to measure. '),
+          may('train') ?
+              h('p', null, h('strong', null, 'Train again'),
+                ' opens the form with the same settings, to be changed.') :
+              null)),
+    h('div', {class: 'side-column'}, trainingPanel(scene.id, signal), aboutPanel(scene)));
+
 /** Resolves once the store's lists are there and hold the scene. */
 function listed(id, signal) {
   return new Promise((resolve) => {
@@ -109,6 +145,11 @@ function listed(id, signal) {
 
 /** `start`: where to begin, of a scene whose photographs are not here; its file may not tell. */
 function page(scene, cameras, start, mark, query, signal) {
+  watch(() => {
+    const now = find(state.scenes, scene.id);
+    if (now) setChip(mark, now.state);
+  }, signal);
+  if (isBarren(scene)) return barrenPage(scene, signal);
   const dataset = find(state.datasets, scene.dataset);
   const training = () => isActive(trainingOf(find(state.scenes, scene.id) ?? scene));
   let keys = {};
@@ -158,10 +199,6 @@ function page(scene, cameras, start, mark, query, signal) {
   if (split && may('render')) queueMicrotask(() => view.compare(split, Number(index)));
   const record = h('div', {class: 'stack', 'data-order': 4});
   const more = h('div', {class: 'stack', 'data-order': 3});
-  watch(() => {
-    const now = find(state.scenes, scene.id);
-    if (now) setChip(mark, now.state);
-  }, signal);
   keepRecord(scene, {record, more}, training, view, signal);
   return h(
       'div', {class: 'columns wide'}, h('div', {class: 'main-column'}, view.node, keys.node, more),

@@ -122,6 +122,8 @@ export function trainingPanel(sceneId, signal, past) {
       }
     });
     kept.hidden = !marks.length || !points.length || !may('render');
+    const isBare = !active && !points.length && !figures.step;  // it ended before there was anything to tell
+    for (const part of [chart, figuresBox, stable, details]) part.hidden = isBare;
     bar.node.hidden = job?.state === 'failed';
     rivals.offer(scene);
     showProblem(job, scene);
@@ -172,6 +174,10 @@ export function trainingPanel(sceneId, signal, past) {
     fill(levels, levelBars(p.level_samples ?? []));
   }
 
+  const figuresBox = h(
+      'dl', {class: 'stats'},
+      stats.map(({label, value}) => h('div', null, h('dt', null, label), value)));
+  const details = h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels);
   const observer = new ResizeObserver(() => update());
   observer.observe(chart);
   signal.addEventListener('abort', () => observer.disconnect(), {once: true});
@@ -179,10 +185,7 @@ export function trainingPanel(sceneId, signal, past) {
   if (past) past.changed = update;
   return panel(
       'Training', {tools: mark}, trouble, buttons.node, bar.node, chart, kept, rivals.node,
-      h('dl', {class: 'stats'},
-        stats.map(({label, value}) => h('div', null, h('dt', null, label), value))),
-      stable, h('details', null, h('summary', null, 'Clocks and levels'), clocks, levels),
-      h('div', {class: 'row'}, again));
+      figuresBox, stable, details, h('div', {class: 'row'}, again));
 }
 
 /**
