@@ -257,6 +257,7 @@ static enum rn_status start_http(struct server *server, struct rn_error *err) {
         .port = config->port,
         .token_needed = config->token != NULL,
         .authorise = rn_access_authorise,
+        .stays = rn_access_stays,
         .routes = rn_api_routes,
         .context = &server->app,
         .max_connections = (unsigned)config->max_connections,

@@ -227,6 +227,15 @@ bool rn_access_authorise(void *context, struct rn_request *request, const char *
     return true;
 }
 
+bool rn_access_stays(void *context, const struct rn_caller *caller) {
+    const struct rn_access *access = ((struct rn_app *)context)->access;
+    if (caller->id[0] == '\0') return true; // the owner, who has no record
+    if (caller->expires_ms > 0 && rn_clock_wall_ms() >= caller->expires_ms) return false;
+    for (size_t i = 0; i < access->count; i++)
+        if (strcmp(access->known[i].caller.id, caller->id) == 0) return true;
+    return false;
+}
+
 // ---- whose it is ------------------------------------------------------------------------------
 
 // Of the newest job whose `column` has this text, of a type unless that is NULL.

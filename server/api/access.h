@@ -28,6 +28,8 @@ enum rn_status rn_access_revoke(struct rn_access *access, const char *id,
 // struct rn_http_options' authorise; `app` is the struct rn_app.
 bool rn_access_authorise(void *app, struct rn_request *request, const char *token,
                          struct rn_caller *ret_caller, struct rn_reply *reply);
+// Its stays: false once the caller's token was revoked or has expired.
+bool rn_access_stays(void *app, const struct rn_caller *caller);
 
 static inline bool rn_caller_is_link(const struct rn_caller *caller) {
     return caller->scene[0] != '\0' || caller->job[0] != '\0';

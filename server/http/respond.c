@@ -64,7 +64,10 @@ static ssize_t idle(struct rn_request *request, char *bytes, size_t capacity) {
 static ssize_t read_events(void *context, uint64_t position, char *bytes, size_t capacity) {
     struct rn_request *request = context;
     struct rn_event_stream *events = &request->events;
+    const struct rn_http_options *options = &request->http->options;
     if (events->text != NULL) return send_text(events, bytes, capacity);
+    if (options->stays != NULL && !options->stays(options->context, &request->caller))
+        return MHD_CONTENT_READER_END_OF_STREAM;
     events->sent = 0;
     switch (rn_ring_read(&events->reader, &events->text, &events->size)) {
     case RN_RING_EVENT:

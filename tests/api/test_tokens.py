@@ -162,6 +162,22 @@ def test_tokens_end(guarded):
     assert not any(secret in stored for secret in secrets)
 
 
+def test_an_open_stream_ends_with_its_token(guarded):
+    """Of what happens once it is revoked nothing is told any more, on what was opened before either."""
+    token = make(guarded, "watcher", scope="read")["token"]
+    connection = guarded.connect()
+    connection.request("GET", "/v1/events", headers={"Authorization": f"Bearer {token}"})
+    stream = connection.getresponse()
+    assert stream.status == 200
+    while stream.readline() != b": beat\n":  # the past before it
+        pass
+    assert guarded.delete("/v1/tokens/watcher").status == 204
+    guarded.train("later")
+    rest = stream.read()  # to its end, which the next event or heartbeat is
+    connection.close()
+    assert b"event:" not in rest
+
+
 def test_quota_of_jobs(guarded):
     token = make(guarded, "anna", scope="train", max_jobs=2)["token"]
     codes = [asked(guarded, token, "POST", "/v1/jobs", json_body={
