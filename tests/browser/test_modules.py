@@ -425,10 +425,7 @@ def test_coarse_pictures_keep_the_shape_and_an_effort(blank):
     assert result["farther"] == result["farthest"] == pytest.approx(40000)
 
 
-def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(blank):
-    """Not when the answer is there, which a long way delays; and never more than two wait for theirs."""
-    counts = blank.run(
-        """
+VIEWER = """
         const {createViewer} = await load('viewer.js');
         const canvas = Object.assign(document.createElement('canvas'), {width: 40, height: 30});
         const blob = await new Promise((yes) => canvas.toBlob(yes));
@@ -460,6 +457,17 @@ def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(bla
           live: () => false, onPicture: () => {}, onTrouble: () => {}};
         const stop = new AbortController();
         const viewer = createViewer(canvas, host, stop.signal);
+        const done = (counts) => {
+          stop.abort();
+          [window.setTimeout, window.clearTimeout, performance.now] = real;
+          return counts;
+        };
+"""
+
+
+def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(blank):
+    """Not when the answer is there, which a long way delays; and never more than two wait for theirs."""
+    counts = blank.run(VIEWER + """
         const moved = async (ms) => { viewer.changed(); await pause(ms); return asked.length; };
         const counts = [await moved(100), await moved(100)];
         asked[0](300);
@@ -468,9 +476,24 @@ def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(bla
         asked.slice(1).forEach((answer) => answer(NaN));  // not told: one after the other again
         await pause(50);
         counts.push(await moved(100) - await moved(100));
-        stop.abort();
-        [window.setTimeout, window.clearTimeout, performance.now] = real;
-        return counts;"""
+        return done(counts);"""
     )
     # one until it is answered, then the camera of meanwhile; a third 300 ms after that, no fourth
     assert counts == [1, 1, 2, 2, 3, 3, 0]
+
+
+def test_a_camera_that_moves_does_not_wait_for_a_refinement_that_is_given_up(blank):
+    """Its request is given up at once; when that is over does not matter."""
+    counts = blank.run(VIEWER + """
+        viewer.changed();
+        await pause(50);
+        const drawn = new Promise((yes) => { host.onPicture = yes; });
+        asked[0](10);
+        await drawn;
+        await pause(1000);  // the camera stands still: a refinement is on its way, and not answered
+        const counts = [asked.length];
+        viewer.changed();
+        counts.push(asked.length);
+        return done(counts);"""
+    )
+    assert counts == [2, 3]

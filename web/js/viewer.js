@@ -99,8 +99,11 @@ export function createViewer(canvas, host, signal) {
   }
 
   function dropRefinements() {
-    for (const flight of flights)
-      if (flight.level > COARSE) flight.stop.abort();
+    for (const flight of flights) {
+      if (flight.level === COARSE) continue;
+      flight.stop.abort();
+      flights.delete(flight);  // nothing waits until it is over
+    }
   }
 
   function nextLevel(now) {
