@@ -75,6 +75,8 @@ def test_a_link_opens_a_scene_and_nothing_else(page, client):
                                      headers={"Authorization": f"Bearer {token}"})
     with pytest.raises(urllib.error.HTTPError, match="401"):
         urllib.request.urlopen(request)
+    page.says("This link is good no longer", "#token-dialog")
+    page.says("Whoever sent it can make another.", "#token-dialog")
 
 
 def test_a_link_opens_the_pictures_of_a_path(page, client, tmp_path):

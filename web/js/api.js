@@ -39,6 +39,8 @@ export const token = {
   set: (value) => (value ? sessionStorage.setItem(TOKEN, value) : sessionStorage.removeItem(TOKEN)),
 };
 
+let linkToken = null;  // that the page was opened by
+
 /**
  * Takes the token of a link (#t=TOKEN/scene/NAME) out of the address and keeps it for this tab: it
  * stands in no history, and no server has seen it.
@@ -47,6 +49,7 @@ export function takeLinkToken() {
   const found = /^#t=([^/]+)(\/.*)?$/.exec(location.hash);
   if (!found) return;
   token.set(found[1]);
+  linkToken = found[1];
   history.replaceState(null, '', `#${found[2] ?? '/'}`);
 }
 
@@ -56,12 +59,20 @@ export const address = (path) => new URL(path.replace(/^\//, ''), base).href;
 const withToken = (headers) =>
     (token.get() ? {...headers, Authorization: `Bearer ${token.get()}`} : headers);
 
+/** What is said of a token that was refused, and `why` where the daemon says that. */
+function refusalOf(used, why) {
+  const said = why ? `: ${why.replace(/\.$/, '')}` : '';
+  if (used === linkToken)
+    return `This link is good no longer${said}. Whoever sent it can make another.`;
+  return `That token was refused${said}.`;
+}
+
 let asking = null;  // one question at a time, however many requests were refused
 
 /** @param {string|null} used that was refused @param {string} [why] */
 async function renewToken(used, why = '') {
   if (token.get() !== used) return true;
-  asking ??= hooks.askToken(used ? `That token was refused${why ? `: ${why.replace(/\.$/, '')}` : ''}.` : '').finally(() => {
+  asking ??= hooks.askToken(used ? refusalOf(used, why) : '').finally(() => {
     asking = null;
   });
   const answer = await asking;
