@@ -11,7 +11,6 @@
 
 #define MAX_SIZE 16384 // pixels
 
-
 // ---- options ----
 
 static const struct rn_table train_by_name_table = {

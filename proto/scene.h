@@ -22,7 +22,7 @@ struct rn_effect_entry {
     char name[32];
     bool on, decided;
     double number, threshold;
-    char number_text[32], threshold_text[32]; // with their unit; "" = absent
+    char number_text[48], threshold_text[48]; // with their unit; "" = absent
     int below; // 1: called for by numbers at the threshold and below it; -1: by none, or not known
     char reason[160];
     int measurable; // 1: an effects job measures it; -1: not known, of an older build

@@ -314,7 +314,8 @@ static void print_info(const void *message) {
         putchar('\n');
     }
     if (*info->device)
-        print_field("films", info->films ? "MP4, WebM, GIF" : "none: ripnerf-film.so is not installed");
+        print_field("films",
+                    info->films ? "MP4, WebM, GIF" : "none: ripnerf-film.so is not installed");
     if (*info->executor)
         print_field("executor", "%s: scenes are trained on a cluster", info->executor);
     print_field("memory", "%s for all scenes", info->memory_limit_bytes ? bytes : "no limit");

@@ -7,8 +7,8 @@
 #include "proto/dataset.h"
 
 // Sends the archive, going on where a lost connection left it, and asks for its import under
-// `name`; the ingest job's id. Complains. Gives up when nothing has arrived for two minutes or it is
-// interrupted, and leaves nothing of it in the daemon then, as far as that answers.
+// `name`; the ingest job's id. Complains. Gives up when nothing has arrived for two minutes or it
+// is interrupted, and leaves nothing of it in the daemon then, as far as that answers.
 enum rn_exit rn_upload(struct rn_client *client, struct rn_tar *tar, const char *name,
                        const struct rn_ingest_options *options, char ret_job[RN_ID_MAX]);
 

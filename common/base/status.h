@@ -44,7 +44,8 @@ enum rn_status rn_error_set(struct rn_error *err, enum rn_status status, const c
                             const char *fmt, ...) RN_PRINTF(4, 5);
 
 // As rn_error_set, with the text ("cannot VERB: ...") and the status of an errno value; ENOENT
-// becomes RN_ERROR_NOT_FOUND, ENOSPC, EDQUOT and EFBIG RN_ERROR_NO_SPACE, ENOMEM RN_ERROR_NO_MEMORY.
+// becomes RN_ERROR_NOT_FOUND, ENOSPC, EDQUOT and EFBIG RN_ERROR_NO_SPACE, ENOMEM
+// RN_ERROR_NO_MEMORY.
 enum rn_status rn_error_from_errno(struct rn_error *err, int errnum, const char *where,
                                    const char *verb);
 

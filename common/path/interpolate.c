@@ -86,7 +86,8 @@ static struct segment segment_after(const struct rn_path *path, size_t i, double
                             u};
 }
 
-// When the stretch that begins at key i ends: at the next key, a loop's last one after the mean spacing.
+// When the stretch that begins at key i ends: at the next key, a loop's last one after the mean
+// spacing.
 static double end_of_stretch(const struct rn_path *path, size_t i) {
     const struct rn_path_key *keys = path->keys;
     size_t last = path->key_count - 1;
@@ -231,7 +232,8 @@ static bool find_centre(const struct rn_path *path, double ret[3]) {
 static void measure_way(struct rn_path *path) {
     double before[3], now[3], step[3], length = 0;
     for (size_t i = 0; i <= path->travelled_count; i++) {
-        size_t stretch = i < path->travelled_count ? i / PARTS : i / PARTS - 1; // the end is the last one's
+        size_t stretch =
+            i < path->travelled_count ? i / PARTS : i / PARTS - 1; // the end is the last one's
         struct segment at = segment_after(path, stretch, (double)(i - stretch * PARTS) / PARTS);
         double squared = 0;
         steps_of(&at, step);

@@ -98,8 +98,9 @@ struct rn_curve_made {
     double roughness;     // of what was rendered smaller, mean square
 };
 // The PSNR to expect of this picture, made with a point's settings but for the tolerance, where the
-// full pictures are better by so much (rn_curve_here.better): the full one's error here, and what the
-// point loses to it, by as much more as there was more to interpolate than in the curve's pictures.
+// full pictures are better by so much (rn_curve_here.better): the full one's error here, and what
+// the point loses to it, by as much more as there was more to interpolate than in the curve's
+// pictures.
 double rn_curve_expected_here(const struct rn_curve *curve, size_t point,
                               const struct rn_curve_made *made, double psnr, double better);
 // How far off `expected` (rn_curve_expected_here) may be, dB, two of three are within: of the full

@@ -17,7 +17,8 @@ struct rn_http_options {
     // refuses. False when nobody has it. NULL: nobody has any.
     bool (*authorise)(void *context, struct rn_request *request, const char *token,
                       struct rn_caller *ret_caller, struct rn_reply *reply);
-    // Whether who was let in still may be: asked before each event of a stream, on the HTTP thread. NULL: always.
+    // Whether who was let in still may be: asked before each event of a stream, on the HTTP thread.
+    // NULL: always.
     bool (*stays)(void *context, const struct rn_caller *caller);
     unsigned max_connections;  // further ones are told 503; 0: 448
     unsigned max_parked;       // 0: 64

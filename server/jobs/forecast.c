@@ -3,10 +3,10 @@
 #include <math.h>
 
 // Fitted to sixteen trainings of eleven datasets (tests/bench/figures.md, "Estimates").
-#define RISE 0.45      // from the last look to the end, of what was gained since the first
-#define LONGER 0.3     // of what is gained after the look before the last, what twice the time gains,
-#define SHRINKS 0.72   // and of that the next doubling
-#define LATER 1.22     // times as long takes a step of the whole as one before the last look
+#define RISE 0.45    // from the last look to the end, of what was gained since the first
+#define LONGER 0.3   // of what is gained after the look before the last, what twice the time gains,
+#define SHRINKS 0.72 // and of that the next doubling
+#define LATER 1.22   // times as long takes a step of the whole as one before the last look
 #define LEAST_STEPS 75 // until the last look, for it to tell something
 #define BENT 2.2       // power by which what is left to rise falls, after the last look
 

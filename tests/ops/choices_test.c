@@ -115,13 +115,14 @@ START_TEST(ratios_say_what_is_counted) {
         double number;
         const char *text;
     } told[] = {{RN_EFFECT_SCALE_PYRAMID, 3, "8 times the finest footprint"},
+                {RN_EFFECT_SCALE_PYRAMID, 10, "1.02e+03 times the finest footprint"},
                 {RN_EFFECT_SCALE_PYRAMID, 0, "all footprints alike"},
                 {RN_EFFECT_SPLIT_PIXELS, 0.001, "all footprints alike"},
                 {RN_EFFECT_CONES, 0, "all cones alike"},
                 {RN_EFFECT_ANISOTROPY, 1, "2 times as long as wide"},
                 {RN_EFFECT_BACKGROUND, 0.01, "1 %"},
                 {RN_EFFECT_CONES, NAN, ""}};
-    char text[32];
+    char text[48];
     for (size_t i = 0; i < sizeof told / sizeof *told; i++) {
         rn_effect_text(told[i].effect, told[i].number, text, sizeof text);
         ck_assert_str_eq(text, told[i].text);

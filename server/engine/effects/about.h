@@ -7,8 +7,8 @@
 
 #include "server/engine/scene/effect.h"
 
-// A number of the effect's record, or its threshold, in the unit in which people read it: "1.5 times
-// as long as wide". Empty where it is NAN.
+// A number of the effect's record, or its threshold, in the unit in which people read it: "1.5
+// times as long as wide". Empty where it is NAN.
 void rn_effect_text(enum rn_effect effect, double number, char *text, size_t capacity);
 // 1: its number calls for it at its threshold and below, 0: above, -1: no number decides.
 int rn_effect_below(enum rn_effect effect);

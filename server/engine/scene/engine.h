@@ -81,13 +81,13 @@ void rn_field_destroy(struct rn_field **field); // of one that no trainer has
 // renders as any other, and is never trained further.
 struct rn_viewing {
     int bits; // of a value of the planes: 32 as trained, 16 half, fewer in blocks; 0: none
-    double psnr, trained;   // dB: its pictures' mean, and those of the scene it is of
-    int views;              // that both are means over
-    char split[8];          // of which these are
-    char dataset[80];       // what the dataset is called where it was made
-    char sha256[65];        // of the parameters that it is of
-    char version[32];       // of the program that wrote it
-    bool has_start;         // files of older builds tell none: of a disparity box it is told on reading
+    double psnr, trained; // dB: its pictures' mean, and those of the scene it is of
+    int views;            // that both are means over
+    char split[8];        // of which these are
+    char dataset[80];     // what the dataset is called where it was made
+    char sha256[65];      // of the parameters that it is of
+    char version[32];     // of the program that wrote it
+    bool has_start; // files of older builds tell none: of a disparity box it is told on reading
     struct rn_camera start; // where to begin to look, without a lens
     double up[3];           // the scene's, a unit vector
 };
