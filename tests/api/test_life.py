@@ -299,8 +299,8 @@ def test_retention_by_age(make_daemon, photographs):
     before = os.open(folder, os.O_RDONLY)  # nothing else gets its number
     daemon.options["retain_pictures"] = "1s"
     daemon.start()
-    wait_for(lambda: frames_of(daemon, gone) == 0)
-    assert os.path.samestat(os.fstat(before), folder.stat()) and not list(folder.iterdir())
+    wait_for(lambda: frames_of(daemon, gone) == 0 and not list(folder.iterdir()))  # nor their sums
+    assert os.path.samestat(os.fstat(before), folder.stat())
     os.close(before)
     assert frames_of(daemon, linked) == 3
     assert daemon.job(gone)["state"] == "succeeded"
