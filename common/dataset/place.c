@@ -19,11 +19,10 @@
 #define ALL 0.98        // likewise of an object that is cut out
 #define MARGIN 1.1      // of the sphere
 #define LEVEL_ROUNDS 5
-#define LEVEL 0.05 // sine by which axes that are held level are off
-#define MOSTLY 0.3 // of the tops' lengths, that points one way
-#define AGREED_DEG                                                                                 \
-    10 // by which up by the cameras and by GPS differ at most: cameras are the sharper
-#define SIDEWAYS 0.5 // of the mean squares by which they are, from which on cameras lay on a side
+#define LEVEL 0.05    // sine by which axes that are held level are off
+#define MOSTLY 0.3    // of the tops' lengths, that points one way
+#define AGREED_DEG 10 // by which up by GPS may differ from the cameras', which is the sharper
+#define SIDEWAYS 0.5  // of the mean squares by which they are, from which on cameras lay on a side
 
 const char *const rn_capture_names[] = {"object",  "forward-facing", "room",
                                         "outdoor", "drone",          NULL};

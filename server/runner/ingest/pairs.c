@@ -79,11 +79,11 @@ bool rn_pairs_are_placed(const struct rn_photos *photos) {
     return 2 * placed > photos->count;
 }
 
-size_t rn_pairs_expected(const struct rn_photos *photos) {
+size_t rn_pairs_expected(const struct rn_photos *photos, bool placed) {
     size_t all = photos->count * (photos->count - 1) / 2;
     // Two that are partners are so to each other as a rule, and most of those around are.
     size_t each = RN_PAIRS_PARTNERS * 2 / 3 + (photos->in_order ? RN_PAIRS_NEAR - 1 : 0) +
-                  (rn_pairs_are_placed(photos) ? RN_PAIRS_AROUND / 4 : 0);
+                  (placed ? RN_PAIRS_AROUND / 4 : 0);
     size_t some = photos->count * each;
     return some < all ? some : all;
 }
@@ -319,7 +319,7 @@ static enum rn_status write_list(const struct choice *choice, const char *path, 
     return status;
 }
 
-enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *database,
+enum rn_status rn_pairs_choose(const struct rn_photos *photos, bool placed, const char *database,
                                const char *list, bool (*keep_going)(void *context), void *context,
                                size_t *ret_pairs, struct rn_error *err) {
     double all =
@@ -330,7 +330,6 @@ enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *datab
                             .partners = calloc(photos->count, sizeof *choice.partners),
                             .most = (int)fmin(fmax(most, FEATURES_LEAST), FEATURES_MOST)};
     enum rn_status status = RN_OK;
-    bool placed = rn_pairs_are_placed(photos);
     if (placed) choice.around = calloc(photos->count, sizeof *choice.around);
     if (!choice.features || !choice.partners || (placed && !choice.around))
         status = rn_error_set(err, RN_ERROR_NO_MEMORY, database, "out of memory");

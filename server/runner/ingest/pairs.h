@@ -11,11 +11,11 @@
 // Preemptive matching (Wu 2013, "Towards linear-time incremental structure from motion"): of each
 // photograph the descriptors of the largest features are compared with those of all others, by
 // brute force; the partners with the most matches are worth matching whole, and those near it: in
-// order where photos->in_order, and on the ground where rn_pairs_are_placed. `database` is
-// COLMAP's, with features of the photographs by name; `list` is written, a pair of names a line, as
-// rn_pairs_rename has them. RN_ERROR_CORRUPT for a database that is not as COLMAP's;
-// RN_ERROR_CANCELLED, RN_ERROR_IO, RN_ERROR_NO_MEMORY.
-enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *database,
+// order where photos->in_order, and on the ground where `placed`, as rn_pairs_are_placed.
+// `database` is COLMAP's, with features of the photographs by name; `list` is written, a pair of
+// names a line, as rn_pairs_rename has them. RN_ERROR_CORRUPT for a database that is not as
+// COLMAP's; RN_ERROR_CANCELLED, RN_ERROR_IO, RN_ERROR_NO_MEMORY.
+enum rn_status rn_pairs_choose(const struct rn_photos *photos, bool placed, const char *database,
                                const char *list, bool (*keep_going)(void *context), void *context,
                                size_t *ret_pairs, struct rn_error *err) RN_MUST_CHECK;
 
@@ -24,7 +24,7 @@ enum rn_status rn_pairs_choose(const struct rn_photos *photos, const char *datab
 bool rn_pairs_are_placed(const struct rn_photos *photos);
 
 // About how many that will be.
-size_t rn_pairs_expected(const struct rn_photos *photos);
+size_t rn_pairs_expected(const struct rn_photos *photos, bool placed);
 
 // COLMAP reads a name in a list up to a blank. Gives photographs whose names it would not find
 // names that it does, in its database (`listed`), or their own ones again. RN_ERROR_CORRUPT as

@@ -226,7 +226,7 @@ static void choose_effort(struct search *search) {
     size_t all = photos->count * (photos->count - 1) / 2;
     search->exhaustive = all <= EXHAUSTIVE_PAIRS;
     search->placed = rn_pairs_are_placed(photos);
-    search->pairs = search->exhaustive ? all : rn_pairs_expected(photos);
+    search->pairs = search->exhaustive ? all : rn_pairs_expected(photos, search->placed);
     double features = MATCHING_S / (FEATURE_S * (double)search->pairs);
     search->features = (int)fmin(fmax(features, FEATURES_FEWEST), FEATURES_MOST);
 }
@@ -289,8 +289,8 @@ static enum rn_status extract(struct search *search, const char *database, const
 static enum rn_status choose_pairs(struct search *search, const char *database, const char *list,
                                    struct rn_error *err) {
     search->order->stage(search->order->context, "choosing pairs", 0, 0);
-    enum rn_status status = rn_pairs_choose(search->photos, database, list, keep_searching, search,
-                                            &search->pairs, err);
+    enum rn_status status = rn_pairs_choose(search->photos, search->placed, database, list,
+                                            keep_searching, search, &search->pairs, err);
     if (status == RN_OK && search->pairs == 0)
         status = rn_error_set(err, RN_ERROR_INVALID, "colmap",
                               "found no poses: no two photographs have features in common; take "
