@@ -330,7 +330,7 @@ def test_damaged_checkpoint_gives_way_to_the_one_before(program, dataset, tmp_pa
     older, newest = checkpoints(folder)
     damaged = folder / "checkpoints" / newest
     damaged.write_bytes(damaged.read_bytes()[:100])
-    for rest in (".fresh.tmp", ".fresh.tmp.partial"):  # of a runner that was killed while it saved
+    for rest in (".left.1-1.tmp", ".fresh.tmp", ".fresh.tmp.partial"):  # of a runner that was killed while it saved
         (folder / "checkpoints" / rest).write_bytes(b"x")
     with Scene(program, folder, dataset, load=True) as runner:
         opened = runner.wait_for("opened")[1]

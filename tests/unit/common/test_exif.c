@@ -10,30 +10,33 @@ static uint8_t *put_number(uint8_t *to, bool big, int bytes, uint32_t value) {
     return to + bytes;
 }
 
+// One entry of a folder: numbers of types 1 and 2 stand in it, of others and longer texts their
+// place; returns the place behind it.
+static uint8_t *put_entry(uint8_t *to, bool big, uint32_t tag, uint32_t type, uint32_t count,
+                          uint32_t value) {
+    int bytes = type > 2 || count > 4 ? 4 : 1;
+    to = put_number(put_number(to, big, 2, tag), big, 2, type);
+    return put_number(put_number(to, big, 4, count), big, bytes, value) + 4 - bytes;
+}
+
+// The header of a block, whose folder of `count` entries follows; returns the place of these.
+static uint8_t *put_header(uint8_t *to, bool big, uint32_t count) {
+    *to++ = big ? 'M' : 'I';
+    *to++ = big ? 'M' : 'I';
+    to = put_number(put_number(to, big, 2, 42), big, 4, 8);
+    return put_number(to, big, 2, count);
+}
+
 // The key of a camera whose model's name has `length` bytes in the block, at a focal length.
 static uint32_t key_of(bool big, const char *maker, const char *model, uint32_t length,
                        uint32_t over, uint32_t under) {
     enum { INNER = 48, MAKER = 64, TEXT = 72, FOCAL = 104, SIZE = 112 };
     uint8_t block[SIZE] = {0}, *at = block;
     struct rn_image_info info;
-    *at++ = big ? 'M' : 'I';
-    *at++ = big ? 'M' : 'I';
-    at = put_number(at, big, 2, 42);
-    at = put_number(at, big, 4, 8);
-    at = put_number(at, big, 2, 3);
-    const uint32_t entries[3][4] = {
-        {0x010f, 2, 8, MAKER}, {0x0110, 2, length, TEXT}, {0x8769, 4, 1, INNER}};
-    for (int i = 0; i < 3; i++) {
-        at = put_number(at, big, 2, entries[i][0]);
-        at = put_number(at, big, 2, entries[i][1]);
-        at = put_number(at, big, 4, entries[i][2]);
-        at = put_number(at, big, 4, entries[i][3]);
-    }
-    at = put_number(block + INNER, big, 2, 1);
-    at = put_number(at, big, 2, 0x920a);
-    at = put_number(at, big, 2, 5);
-    at = put_number(at, big, 4, 1);
-    put_number(at, big, 4, FOCAL);
+    at = put_entry(put_header(at, big, 3), big, 0x010f, 2, 8, MAKER);
+    at = put_entry(at, big, 0x0110, 2, length, TEXT);
+    put_entry(at, big, 0x8769, 4, 1, INNER);
+    put_entry(put_number(block + INNER, big, 2, 1), big, 0x920a, 5, 1, FOCAL);
     memcpy(block + MAKER, maker, strlen(maker));
     memcpy(block + TEXT, model, strlen(model));
     put_number(put_number(block + FOCAL, big, 4, over), big, 4, under);
@@ -55,14 +58,6 @@ START_TEST(a_camera_is_the_same_however_its_exif_is_written) {
 }
 END_TEST
 
-// One entry of a folder; returns the place behind it.
-static uint8_t *put_entry(uint8_t *to, bool big, uint32_t tag, uint32_t type, uint32_t count,
-                          uint32_t value) {
-    to = put_number(put_number(to, big, 2, tag), big, 2, type);
-    return put_number(put_number(to, big, 4, count), big, type == 4 || type == 5 ? 4 : 1, value) +
-           (type == 4 || type == 5 ? 0 : 3);
-}
-
 // A block whose GPS says 41 degrees 30' 18" `south_north`, 83 degrees 15' 36" `west_east`, and 12.5
 // m over a `floor` of which 1 is below the sea's; over `under` instead of 1 where that is 0.
 static struct rn_image_info located(bool big, char south_north, char west_east, uint32_t floor,
@@ -72,10 +67,7 @@ static struct rn_image_info located(bool big, char south_north, char west_east, 
                                              {15, 1}, {360, 10}, {25, 2}};
     uint8_t block[SIZE] = {0}, *at = block;
     struct rn_image_info info;
-    *at++ = big ? 'M' : 'I';
-    *at++ = big ? 'M' : 'I';
-    at = put_number(put_number(at, big, 2, 42), big, 4, 8);
-    put_entry(put_number(at, big, 2, 1), big, 0x8825, 4, 1, GPS);
+    put_entry(put_header(at, big, 1), big, 0x8825, 4, 1, GPS);
     at = put_number(block + GPS, big, 2, 6);
     at = put_entry(at, big, 1, 2, 2, (uint32_t)south_north);
     at = put_entry(at, big, 2, 5, 3, NUMBERS);
