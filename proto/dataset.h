@@ -19,7 +19,7 @@ struct rn_ingest_options {
     int alpha;                       // rn_downscale_names
     char split[16];                  // "files" or "every:N"
     char bounds[128];                // "X,Y,Z,RADIUS" of the sphere that holds the scene
-    char up[96];                     // "X,Y,Z", or an axis: "z", "-y"; "": by the cameras
+    char up[96];                     // "X,Y,Z", or an axis: "z", "-y"; "": by the cameras or GPS
     char crop[192];                  // "X0,Y0,Z0,X1,Y1,Z1" of the box that matters
     char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
     char masks[256];                 // folder of masks, relative; "": "masks", if it is there

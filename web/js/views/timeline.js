@@ -43,8 +43,9 @@ export function createTimeline(host) {
   /** The keys whose marks lie at a place of the window, in their order: the nearest, and those it hides. */
   function keysAt(x) {
     const {left, width} = track.getBoundingClientRect();
+    const path = host.path();
     const placed =
-        host.path().keys.map((key) => ({key, at: left + (width * momentOfKey(key.id)) / whole()}));
+        path.keys.map((key, index) => ({key, at: left + (width * momentOf(path, index)) / whole()}));
     const nearest = placed.reduce((a, b) => (Math.abs(b.at - x) < Math.abs(a.at - x) ? b : a));
     return placed.filter(({at}) => Math.abs(at - nearest.at) <= HIDDEN_PX).map(({key}) => key);
   }

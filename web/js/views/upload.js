@@ -122,7 +122,7 @@ function importOptions() {
   const up = field(
       'Up', h('input', {
         type: 'text',
-        placeholder: 'by the cameras',
+        placeholder: 'by the cameras or GPS',
         spellcheck: 'false',
         autocomplete: 'off'
       }),
