@@ -270,6 +270,140 @@ START_TEST(more_than_memory_is_to_hold) {
 }
 END_TEST
 
+static long file_kib(void) {
+    char line[256];
+    long pages = -1;
+    FILE *file = fopen("/proc/self/status", "r");
+    ck_assert_ptr_nonnull(file);
+    while (fgets(line, sizeof line, file))
+        if (sscanf(line, "RssFile: %ld", &pages) == 1) break;
+    fclose(file);
+    ck_assert_int_ge(pages, 0);
+    return pages;
+}
+
+#define HELD_MIB 4L
+
+// Of the pixels no more than may be are in memory after a pass over them, but for a photograph
+// and its mask.
+static void holds_little(const char *pass, long before) {
+    long held = file_kib() - before, most = (HELD_MIB << 10) + 5L * SIDE * SIDE / 1024;
+    printf("%s: %ld MiB of pixels in memory\n", pass, held >> 10);
+    ck_assert_msg(held <= most, "%s leaves %ld KiB of pixels in memory, over %ld", pass, held,
+                  most);
+}
+
+static struct rn_frame large_frames[64];
+static char large_path[128], mask_path[128];
+
+// A training of such photographs, with a mask, of which so much is to be in memory.
+static struct rn_trainer *train_on_large(struct rn_engine *engine, struct rn_dataset *large,
+                                         long *ret_before) {
+    snprintf(large_path, sizeof large_path, "%s/large.png", folder);
+    *large = make_large(large_frames, large_path);
+    struct rn_image mask;
+    struct rn_error err = {0};
+    snprintf(mask_path, sizeof mask_path, "%s/mask.png", folder);
+    ck_assert(rn_image_init(SIDE, SIDE, &mask, &err) == RN_OK);
+    memset(mask.pixels, 255, (size_t)4 * SIDE * SIDE);
+    ck_assert(rn_image_write_png(&mask, mask_path, 1, &err) == RN_OK);
+    rn_image_finish(&mask);
+    for (size_t i = 0; i < large->frame_count; i++)
+        large_frames[i].mask_path = mask_path;
+    struct rn_train_config config = config_for(large);
+    config.train_scale = 1;
+    config.pixel_memory = HELD_MIB;
+    config.initial_rays = 8192;
+    rn_engine_keep_in(engine, folder);
+    *ret_before = file_kib();
+    struct rn_trainer *trainer = trainer_for(engine, large, &config);
+    ck_assert_ptr_nonnull(trainer->train.paged.bytes);
+    return trainer;
+}
+
+// Whatever looks at all photographs gives their pages back on its way.
+START_TEST(passes_give_pages_back) {
+    struct rn_error err = {0};
+    struct rn_engine *engine = engine_with(1);
+    struct rn_dataset large;
+    struct rn_point point = {0};
+    struct rn_sighting sighting = {0};
+    long before;
+    bool busy = true;
+    struct rn_trainer *t = train_on_large(engine, &large, &before);
+    holds_little("creation", before);
+    t->field->config.field.space = RN_SPACE_UNBOUNDED; // all blocks are looked at
+    ck_assert_ptr_nonnull(t->train.used);
+    ck_assert(rn_trainer_list_live(t, &err) == RN_OK);
+    t->field->config.field.space = RN_SPACE_BALL;
+    holds_little("the list of live blocks", before);
+    large.points = (struct rn_points){&point, 1, &sighting, 1, false};
+    rn_trainer_carve_sighted(t);
+    holds_little("what photographs see through", before);
+    rn_trainer_begin_step(t);
+    rn_trainer_draw(t, 0, t->step.ray_count);
+    t->step.under_way = false;
+    holds_little("the rays of a step", before);
+    while (busy)
+        ck_assert(rn_trainer_seek_outliers(t, &busy, &err) == RN_OK);
+    holds_little("outliers", before);
+    struct rn_effect_record *poses = &t->field->effects[RN_EFFECT_POSE_REFINEMENT];
+    poses->decided = poses->on = true; // all are looked at
+    ck_assert(rn_trainer_allocate_poses(t, &err) == RN_OK);
+    ck_assert(rn_trainer_refine_poses(t, &busy, &err) == RN_OK);
+    holds_little("refined poses", before);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
+static bool all_frames(void *context, const struct rn_frame *frame) {
+    (void)context;
+    (void)frame;
+    return true;
+}
+
+// Ten photographs and their halves.
+START_TEST(scales_give_pages_back) {
+    static struct rn_frame frames[20];
+    struct rn_error err = {0};
+    struct rn_image photo, half;
+    struct rn_engine *engine = engine_with(1);
+    struct rn_pixels pixels;
+    struct rn_pixel_treatment treatment = {.reduced = 1, .memory_bytes = HELD_MIB << 20};
+    char half_path[128];
+    snprintf(large_path, sizeof large_path, "%s/large.png", folder);
+    snprintf(half_path, sizeof half_path, "%s/half.png", folder);
+    struct rn_dataset large = make_large(large_frames, large_path);
+    ck_assert(rn_image_read(large_path, NULL, &photo, &err) == RN_OK);
+    ck_assert(rn_image_downscale(&photo, SIDE / 2, SIDE / 2, RN_DOWNSCALE_PREMULTIPLIED, &half,
+                                 &err) == RN_OK);
+    ck_assert(rn_image_write_png(&half, half_path, 1, &err) == RN_OK);
+    for (int i = 0; i < 20; i++) {
+        frames[i] = large_frames[i / 2];
+        if (i % 2 == 0) continue;
+        frames[i].scale = 1;
+        frames[i].path = half_path;
+        frames[i].camera = rn_camera_resized(&frames[i].camera, SIDE / 2, SIDE / 2);
+    }
+    large.frames = frames;
+    large.frame_count = 20;
+    rn_engine_keep_in(engine, folder);
+    long before = file_kib();
+    ck_assert_msg(rn_pixels_load(&large, all_frames, NULL, engine, treatment, 0, &pixels, &err) ==
+                      RN_OK,
+                  "%s", err.text);
+    ck_assert(rn_pixels_scale_error(&pixels, 10) < 0.01);
+    holds_little("how far scales are from means", before);
+    rn_pixels_remake_scales(&pixels, engine);
+    holds_little("scales made anew", before);
+    rn_pixels_finish(&pixels);
+    rn_image_finish(&photo);
+    rn_image_finish(&half);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // A folder that takes no such file is named.
 START_TEST(where_there_is_no_place) {
     static struct rn_frame frames[64];
@@ -297,6 +431,8 @@ static void add(TCase *tests) {
     tcase_add_test(tests, masks_are_made_smaller_too);
     tcase_add_test(tests, jpegs_are_decoded_smaller);
     tcase_add_test(tests, more_than_memory_is_to_hold);
+    tcase_add_test(tests, passes_give_pages_back);
+    tcase_add_test(tests, scales_give_pages_back);
     tcase_add_test(tests, where_there_is_no_place);
 }
 

@@ -312,6 +312,7 @@ double rn_pixels_scale_error(const struct rn_pixels *pixels, int frames) {
             squares += sum;
             channels += 3;
         }
+        rn_pixels_let_go(pixels);
     }
     return channels > 0 ? sqrt(squares / channels) : 0;
 }
@@ -331,6 +332,7 @@ static void remake_frame(void *context, int index, int thread) {
     for (int p = 0; finest && p < width * frame->camera.height; p++)
         weighted_mean(pixels, finest, 1 << frame->frame->scale, p % width, p / width,
                       pixels->rgba + 4 * (frame->offset + (size_t)p));
+    rn_pixels_let_go(pixels);
 }
 
 void rn_pixels_remake_scales(struct rn_pixels *pixels, struct rn_engine *engine) {

@@ -132,6 +132,7 @@ static void list_frame(struct rn_trainer *t, int frame, const uint8_t *marks) {
                 (struct rn_live_block){.frame = (uint32_t)frame,
                                        .x = (uint16_t)(i % (size_t)columns * RN_LIVE_BLOCK),
                                        .y = (uint16_t)(i / (size_t)columns * RN_LIVE_BLOCK)};
+    rn_pixels_let_go(&t->train);
 }
 
 void rn_trainer_share_out(struct rn_trainer *t, bool weigh) {

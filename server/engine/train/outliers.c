@@ -382,7 +382,6 @@ enum rn_status rn_trainer_seek_outliers(struct rn_trainer *t, bool *ret_busy,
     *ret_busy = false;
     enum rn_status status = begin_pass(t, err);
     if (status != RN_OK) return status;
-    rn_pixels_let_go(&t->train);
     if (!(o->threshold > 0)) { // not all are looked at
         *ret_busy = !go_through(t, look);
         if (*ret_busy) return RN_OK;

@@ -89,6 +89,7 @@ static struct rn_pose_looker looker_of(const struct rn_trainer *t, int thread) {
 
 static struct rn_pose_photo photo_of(const struct rn_pixels *pixels,
                                      const struct rn_pixel_frame *frame) {
+    rn_pixels_let_go(pixels);
     return (struct rn_pose_photo){.rgba = pixels->rgba + 4 * frame->offset,
                                   .used = pixels->used ? pixels->used + frame->offset : NULL,
                                   .camera = frame->camera};

@@ -54,6 +54,7 @@ void rn_trainer_rays(const struct rn_trainer *t, const struct rn_pixels *pixels,
         ret_rays[i].alpha = rn_pixel_over(rn_pixel_at(pixels, p->frame, p->x, p->y), background,
                                           ret_rays[i].target);
     }
+    rn_pixels_let_go(pixels);
 }
 
 struct rn_march_ray rn_trainer_ray(const struct rn_trainer *t, const struct rn_pixels *pixels,

@@ -304,6 +304,7 @@ static void make_sheet(void *context, int index, int thread) {
             count += rn_sheet_place(&frame->camera, points[lines->views[i].point].position,
                                     &placed[count]);
     sheets->items[index] = rn_sheet_make(pixels, frame, placed, count);
+    rn_pixels_let_go(pixels);
     free(placed);
 }
 

@@ -137,7 +137,6 @@ void rn_trainer_take_march(struct rn_trainer *t) {
 
 void rn_trainer_begin_step(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
-    rn_pixels_let_go(&t->train);
     t->step.under_way = true;
     t->step.stage = RN_STEP_WAVES;
     t->step.ray_count = t->next_rays;
