@@ -2,11 +2,18 @@
 
 #include <pthread.h>
 #include <stdatomic.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <time.h>
 
 #define SPIN_NS 50000  // how long a waiting thread spins before it sleeps
 #define ASK_NS 1000000 // how often the caller, who waits for the others, asks whether to stop
+
+// The gate of a pool: the number of its run in the upper half; below, how many workers are in it.
+#define RUN_SHIFT 32
+#define GATE_CLOSED (1u << 31) // all is handed out: who comes now is not waited for
+#define GATE_ENDS (1u << 30)   // and there will be no other run
+#define GATE_INSIDE (GATE_ENDS - 1)
 
 struct worker {
     struct rn_pool *pool;
@@ -23,10 +30,8 @@ struct rn_pool {
     bool (*stop)(void *context); // NULL: the run is not cut short
     void *stop_context;
     atomic_bool stopped;
-    _Alignas(64) atomic_int next;        // index to hand out
-    _Alignas(64) atomic_uint generation; // of the current run
-    _Alignas(64) atomic_int running;     // workers still in the current run
-    bool stopping;
+    _Alignas(64) atomic_int next; // index to hand out
+    _Alignas(64) _Atomic uint64_t gate;
     pthread_mutex_t lock;
     pthread_cond_t started, finished;
 };
@@ -74,57 +79,88 @@ static int drain_until(struct rn_pool *pool) {
     }
 }
 
-static unsigned wait_for_run(struct rn_pool *pool, unsigned seen) {
+static bool is_of(uint64_t gate, uint32_t run) {
+    return gate >> RUN_SHIFT == run;
+}
+
+// The gate of another run than the one that was seen last.
+static uint64_t wait_for_run(struct rn_pool *pool, uint32_t seen) {
     int64_t until = now_ns() + SPIN_NS;
     do {
         for (int i = 0; i < 64; i++) {
-            unsigned generation = atomic_load_explicit(&pool->generation, memory_order_acquire);
-            if (generation != seen) return generation;
+            uint64_t gate = atomic_load_explicit(&pool->gate, memory_order_acquire);
+            if (!is_of(gate, seen)) return gate;
             relax();
         }
     } while (now_ns() < until);
     pthread_mutex_lock(&pool->lock);
-    while (atomic_load(&pool->generation) == seen)
+    while (is_of(atomic_load(&pool->gate), seen))
         pthread_cond_wait(&pool->started, &pool->lock);
     pthread_mutex_unlock(&pool->lock);
-    return atomic_load(&pool->generation);
+    return atomic_load(&pool->gate);
+}
+
+// Whether a worker is in the run, whose context stands from now on until it has left.
+static bool enter(struct rn_pool *pool, uint32_t run) {
+    uint64_t gate = atomic_load(&pool->gate);
+    while (is_of(gate, run) && !(gate & GATE_CLOSED))
+        if (atomic_compare_exchange_weak(&pool->gate, &gate, gate + 1)) return true;
+    return false;
+}
+
+static void leave(struct rn_pool *pool) {
+    uint64_t before = atomic_fetch_sub(&pool->gate, 1);
+    if (!(before & GATE_CLOSED) || (before & GATE_INSIDE) > 1) return;
+    pthread_mutex_lock(&pool->lock);
+    pthread_cond_signal(&pool->finished);
+    pthread_mutex_unlock(&pool->lock);
 }
 
 static void *worker_main(void *argument) {
     struct worker *worker = argument;
     struct rn_pool *pool = worker->pool;
-    unsigned seen = 0;
+    uint32_t seen = 0;
     for (;;) {
-        seen = wait_for_run(pool, seen);
-        if (pool->stopping) return NULL;
+        uint64_t gate = wait_for_run(pool, seen);
+        if (gate & GATE_ENDS) return NULL;
+        seen = (uint32_t)(gate >> RUN_SHIFT);
+        if (!enter(pool, seen)) continue;
         drain(pool, worker->index);
-        if (atomic_fetch_sub_explicit(&pool->running, 1, memory_order_acq_rel) == 1) {
-            pthread_mutex_lock(&pool->lock);
-            pthread_cond_signal(&pool->finished);
-            pthread_mutex_unlock(&pool->lock);
-        }
+        leave(pool);
     }
 }
 
-static void start_run(struct rn_pool *pool, int first) {
-    atomic_store(&pool->running, pool->threads - 1);
-    atomic_store(&pool->next, first);
+// Opens the gate to the next run.
+static void open_gate(struct rn_pool *pool, uint32_t with) {
     pthread_mutex_lock(&pool->lock);
-    atomic_fetch_add_explicit(&pool->generation, 1, memory_order_release);
+    uint32_t run = (uint32_t)(atomic_load(&pool->gate) >> RUN_SHIFT) + 1;
+    atomic_store(&pool->gate, (uint64_t)run << RUN_SHIFT | with);
     pthread_cond_broadcast(&pool->started);
     pthread_mutex_unlock(&pool->lock);
 }
 
+static void start_run(struct rn_pool *pool, int first) {
+    atomic_store(&pool->next, first);
+    open_gate(pool, 0);
+}
+
+static bool is_empty(struct rn_pool *pool) {
+    return !(atomic_load_explicit(&pool->gate, memory_order_acquire) & GATE_INSIDE);
+}
+
+// All is handed out: waits for the workers that have some of it, not for those that the machine,
+// busy with other programs, has not woken yet.
 static void wait_for_workers(struct rn_pool *pool) {
+    atomic_fetch_or(&pool->gate, GATE_CLOSED);
     int64_t until = now_ns() + SPIN_NS;
     do {
         for (int i = 0; i < 64; i++) {
-            if (atomic_load_explicit(&pool->running, memory_order_acquire) == 0) return;
+            if (is_empty(pool)) return;
             relax();
         }
     } while (now_ns() < until);
     pthread_mutex_lock(&pool->lock);
-    while (atomic_load(&pool->running) > 0) {
+    while (!is_empty(pool)) {
         struct timespec next = later(ASK_NS);
         pthread_cond_timedwait(&pool->finished, &pool->lock, &next);
         rn_pool_is_stopped(pool, 0); // the others may be at work for long
@@ -196,8 +232,7 @@ enum rn_status rn_pool_create(int threads, struct rn_pool **ret_pool, struct rn_
 void rn_pool_destroy(struct rn_pool **pool) {
     struct rn_pool *p = *pool;
     if (!p) return;
-    p->stopping = true;
-    start_run(p, 0);
+    open_gate(p, GATE_CLOSED | GATE_ENDS);
     for (int i = 0; i < p->threads - 1; i++)
         pthread_join(p->workers[i].thread, NULL);
     pthread_mutex_destroy(&p->lock);
