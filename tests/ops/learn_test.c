@@ -563,22 +563,24 @@ static double worst_difference(const struct rn_picture *a, const struct rn_pictu
     return worst;
 }
 
-// Rays that end early pass over thin haze, which they would have met in `cells`: fewer samples, and
-// a picture that differs no more than it did by their ends.
-static void check_firm_cells(struct rn_engine *engine, struct rn_field *field,
-                             struct rn_camera camera, struct rn_occupancy_bits cells) {
+// Rays that end early pass over thin haze, which they would have met in `cells` but not in
+// `chosen`, of the field: fewer samples, and a picture that differs no more than it did by their
+// ends.
+static void check_chosen_cells(struct rn_engine *engine, struct rn_field *field,
+                               struct rn_camera camera, struct rn_occupancy_bits *chosen,
+                               struct rn_occupancy_bits cells) {
     const struct rn_render_options early = {.outputs = RN_OUTPUT_RGB,
                                             .background = {1, 1, 1},
                                             .settings = {.stop = 0.1, .supersample = 1}};
-    struct rn_occupancy_bits firm = field->firm;
+    struct rn_occupancy_bits kept = *chosen;
     struct rn_render_result full = render_all(engine, field, camera, 0);
     struct rn_render_result quick = render(engine, field, camera, early);
-    field->firm = cells;
+    *chosen = cells;
     struct rn_render_result slow = render(engine, field, camera, early);
-    field->firm = firm;
+    *chosen = kept;
     double share = (double)quick.stats.samples / (double)slow.stats.samples;
     double off = rms_difference(&quick.rgb, &full.rgb), was = rms_difference(&slow.rgb, &full.rgb);
-    printf("firm cells: %.0f %% of the samples, rms %.5f for %.5f\n", 100 * share, off, was);
+    printf("fewer cells: %.0f %% of the samples, rms %.5f for %.5f\n", 100 * share, off, was);
     ck_assert_double_lt(share, 0.97);
     ck_assert_double_lt(off, was + 0.005);
     finish_three(&full, &quick, &slow);
@@ -596,15 +598,21 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
     struct rn_render_result fine = render_all(engine, field, frame->camera, 0);
     ck_assert_int_eq(field->cpu.occupancy.cells, 2 * field->config.field.occupancy);
     for (int quick = 0; quick < 2; quick++) {
-        rn_field_choose_cells(field, field->fine_levels + 1 + quick, 0.1 * quick);
+        rn_field_choose_cells(field, field->fine_levels + 1 + 3 * quick, 0.1 * quick);
         ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
     }
-    rn_field_choose_cells(field, field->fine_levels + 1, 0.1);
-    ck_assert_ptr_eq(field->cpu.occupancy.words, field->firm.words);
-    check_firm_cells(engine, field, frame->camera, field->fine);
-    // Of cones twice as wide as any that the cells were looked at with.
-    struct rn_camera wide = rn_camera_resized(&frame->camera, 24, 24);
-    check_firm_cells(engine, field, wide, field->coarse);
+    for (int above = 1; above <= 3; above++) {
+        rn_field_choose_cells(field, field->fine_levels + above, 0.1);
+        const struct rn_occupancy_bits *chosen = above > 1 ? &field->fine : &field->firm;
+        ck_assert_ptr_eq(field->cpu.occupancy.words, chosen->words);
+    }
+    check_chosen_cells(engine, field, frame->camera, &field->firm, field->fine);
+    // Of cones two to eight times as wide as any that the cells were looked at with.
+    for (int side = 24; side >= 6; side /= 2) {
+        struct rn_camera wide = rn_camera_resized(&frame->camera, side, side);
+        check_chosen_cells(engine, field, wide, side < 24 ? &field->fine : &field->firm,
+                           field->coarse);
+    }
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
     ck_assert(averaging_error(&fine, &same, 1) == 0 && fine.stats.samples == same.stats.samples);

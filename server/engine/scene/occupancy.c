@@ -166,6 +166,7 @@ void rn_field_refresh_occupancy(struct rn_field *field) {
 #define CHUNK 2048   // cells a task
 #define POINTS 8     // of a cell, 2 x 2 x 2
 #define SPARSE 0.125 // of all cells, that are occupied at most
+#define EARLY_LEVELS 3 // more of the pyramid that finer cells do for where rays end early
 
 enum matter { NONE, HAZE, FIRM };
 
@@ -287,8 +288,10 @@ void rn_field_refine_occupancy(struct rn_field *field, struct rn_engine *engine)
 }
 
 void rn_field_choose_cells(struct rn_field *field, int levels, double stop) {
-    bool firm = stop >= (double)RN_OCCUPANCY_FIRM;
-    bool fine = field->fine.words && levels <= field->fine_levels + (firm ? 1 : 0);
+    bool early = stop >= (double)RN_OCCUPANCY_FIRM;
+    int above = levels - field->fine_levels;
+    bool fine = field->fine.words && above <= (early ? EARLY_LEVELS : 0);
+    bool firm = early && above <= 1;
     field->cpu.occupancy = !fine ? field->coarse : firm ? field->firm : field->fine;
 }
 
