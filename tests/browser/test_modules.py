@@ -482,6 +482,26 @@ def test_the_next_coarse_picture_is_asked_for_when_the_daemon_should_be_done(bla
     assert counts == [1, 1, 2, 2, 3, 3, 0]
 
 
+def test_a_coarse_picture_waits_for_a_camera_that_is_about_to_come(blank):
+    """Of one that is nearer than the last; and for no longer, if none comes."""
+    counts = blank.run(VIEWER + """
+        const counts = [];
+        const count = async (ms) => { await pause(ms); counts.push(asked.length); };
+        const moved = async (ms) => { viewer.changed(); await count(ms); };
+        for (let i = 0; i < 8; i++) { viewer.changed(); await pause(16); }
+        await moved(10);
+        asked[0](10);
+        await count(6);
+        await moved(16);  // it comes after 16 ms, and is sent
+        asked[1](25);
+        await moved(16);
+        await moved(10);  // the daemon should be done 9 ms after this one, 7 before the next
+        await count(8);   // which does not come
+        return done(counts);"""
+    )
+    assert counts == [1, 1, 2, 3, 3, 4]
+
+
 def test_a_camera_that_moves_does_not_wait_for_a_refinement_that_is_given_up(blank):
     """Its request is given up at once; when that is over does not matter."""
     counts = blank.run(VIEWER + """

@@ -10,6 +10,7 @@ const COARSE_MS = 52;       // from an input to the answer with its coarse pictu
 const LEAST_MS = 12;        // of it in rendering, however long its way is;
 const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
 const MOST_MS = 60;         // up to so much
+const LATE_MS = 1;          // that a movement is after its time
 const MOST_AHEAD = 2;       // coarse pictures that are not answered yet
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
@@ -64,6 +65,15 @@ export function nextEffort(effort, totalMs, renderMs) {
 }
 
 /**
+ * How long a coarse picture waits for a newer camera, ms, where movements come `apartMs` from each
+ * other: for one that is nearer than the last, which came `ageMs` ago.
+ */
+export function untilNewer(ageMs, apartMs) {
+  const comes = apartMs - ageMs;
+  return comes > 0 && comes < ageMs ? comes + LATE_MS : 0;
+}
+
+/**
  * @param {HTMLCanvasElement} canvas
  * @param {{camera: (width: number, height: number) => any, fullSize: () => {width: number, height:
  *     number},
@@ -77,6 +87,7 @@ export function createViewer(canvas, host, signal) {
   let shown = {version: -1, level: -1};
   const flights = new Set();
   let movedAt = 0;
+  let apartMs = 0;  // movements of a drag, about
   let effort = 200 * 150;
   let msPerPixel = 0;
   let fullMsPerPixel = 0;
@@ -93,7 +104,9 @@ export function createViewer(canvas, host, signal) {
 
   function changed() {
     version++;
-    movedAt = performance.now();
+    const now = performance.now();
+    if (now - movedAt < STILL_MS) apartMs += ((now - movedAt) - apartMs) / (apartMs ? 8 : 1);
+    movedAt = now;
     dropRefinements();
     pump();
   }
@@ -137,6 +150,11 @@ export function createViewer(canvas, host, signal) {
       return;
     }
     const level = nextLevel(now);
+    const soonMs = level === COARSE ? untilNewer(now - movedAt, apartMs) : 0;
+    if (soonMs > 0) {
+      poke(soonMs);
+      return;
+    }
     if (level !== null && (level === COARSE || !flights.size)) {
       fly(level);
       return;
