@@ -167,6 +167,28 @@ def test_a_preview_gives_way_to_the_reader(turn, what):
     assert here.is_enabled() == (what != "a key")
 
 
+def test_a_preview_draws_what_lies_over_its_picture_once_a_frame(turn):
+    turn.press("Preview")
+    most = turn.driver.execute_async_script("""
+const done = arguments[0];
+const clear = CanvasRenderingContext2D.prototype.clearRect;
+let [draws, most, frames] = [0, 0, 0];
+CanvasRenderingContext2D.prototype.clearRect = function (...box) {
+  draws += this.canvas.matches('.overlay');
+  clear.apply(this, box);
+};
+const frame = () => {
+  if (frames++) most = Math.max(most, draws);
+  draws = 0;
+  if (frames < 12) return requestAnimationFrame(frame);
+  CanvasRenderingContext2D.prototype.clearRect = clear;
+  done(most);
+};
+requestAnimationFrame(frame);""")
+    assert most == 1
+    turn.press("Stop")
+
+
 def test_at_constant_speed_keys_lie_where_they_are_passed(page, fake):
     """The way says when; a key that was put there then went to where the keys' clock said so, out of the order."""
     page.open(fake("empty").url)

@@ -502,7 +502,7 @@ export function createViewport(scene, cameras, host, signal) {
     /** What of a path is drawn over the picture. */
     overlay: (next) => {
       things = next;
-      drawThings();
+      drawSoon();
     },
     /** Shows a dataset's view beside its photograph. */
     compare: (split, index) => {
