@@ -162,12 +162,16 @@ def test_tokens_end(guarded):
     assert not any(secret in stored for secret in secrets)
 
 
+def watched(daemon, token):
+    """A connection with an open stream of events, and that."""
+    connection = daemon.connect()
+    connection.request("GET", "/v1/events", headers={"Authorization": f"Bearer {token}"})
+    return connection, connection.getresponse()
+
+
 def test_an_open_stream_ends_with_its_token(guarded):
     """Of what happens once it is revoked nothing is told any more, on what was opened before either."""
-    token = make(guarded, "watcher", scope="read")["token"]
-    connection = guarded.connect()
-    connection.request("GET", "/v1/events", headers={"Authorization": f"Bearer {token}"})
-    stream = connection.getresponse()
+    connection, stream = watched(guarded, make(guarded, "watcher", scope="read")["token"])
     assert stream.status == 200
     while stream.readline() != b": beat\n":  # the past before it
         pass
@@ -175,6 +179,22 @@ def test_an_open_stream_ends_with_its_token(guarded):
     guarded.train("later")
     for line in stream:  # to its end, which the next event or heartbeat is
         assert b"event:" not in line, line
+    connection.close()
+
+
+def test_an_open_stream_ends_when_its_token_expires(guarded):
+    """Whether it was opened in time is up to the machine: a token that was too short is followed by a longer one."""
+    for expires_s in (1, 4, 16, 64):
+        token = make(guarded, f"for-{expires_s}", scope="read", expires_s=expires_s)["token"]
+        connection, stream = watched(guarded, token)
+        if stream.status == 200:
+            break
+        connection.close()
+    assert stream.status == 200
+    guarded.eventually(lambda: asked(guarded, token, "GET", "/v1/scenes") == 401)
+    record, _ = guarded.train("later")
+    for line in stream:
+        assert record["id"].encode() not in line, line
     connection.close()
 
 
