@@ -15,10 +15,12 @@ const passes = (error) => error instanceof Unreachable ||
 /**
  * @param {Blob} tar @param {string} name the dataset's
  * @param {{onProgress: (sent: number) => void, onWait: (error: Error) => void,
- *     signal: AbortSignal}} host onWait: a pause, after a failure that passes
- * @returns {Promise<string>} the id of the upload, which is whole
+ *     take?: (upload: string) => Promise<any>, signal: AbortSignal}} host onWait: a pause, after a failure
+ *     that passes; take: what becomes of the whole upload, asked again where its answer was lost
+ * @returns {Promise<any>} what `take` answers, else the upload's id
  */
-export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
+export async function sendInParts(
+    tar, name, {onProgress, onWait, take = async (upload) => upload, signal}) {
   let failures = 0;
   const pause = async (error) => {
     if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
@@ -61,7 +63,7 @@ export async function sendInParts(tar, name, {onProgress, onWait, signal}) {
     }
     onProgress(upload.offset);
   }
-  return upload.id;
+  return patiently(() => take(upload.id));
 }
 
 /** Waits so long, or until the browser is online again, or the page has found the daemon again. */

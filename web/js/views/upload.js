@@ -193,7 +193,7 @@ function planForm(plan, {back, follow, signal}) {
     let show = rateWords(tar.size);
     note(0);
     try {
-      const upload = await sendInParts(tar, dataset, {
+      const job = await sendInParts(tar, dataset, {
         onProgress: (sent) => {
           note(sent);
           bar.set(sent / tar.size, show(sent));
@@ -202,11 +202,16 @@ function planForm(plan, {back, follow, signal}) {
           show = rateWords(tar.size);
           bar.set(null, waitWords(error));
         },
+        take: (upload) => api.addUpload(
+            {
+              name: dataset,
+              upload,
+              ...(Object.keys(settings).length ? {options: settings} : {})
+            },
+            stop),
         signal: stop
       });
-      const wanted = {name: dataset, upload};
-      if (Object.keys(settings).length) wanted.options = settings;
-      follow(putJob(await api.addUpload(wanted, stop)), plan.missing.length);
+      follow(putJob(job), plan.missing.length);
       stopLooking();
     } finally {
       noteUpload(dataset, null);
