@@ -247,9 +247,10 @@ static void find_blurred(struct all *all, double distance) {
     all->found.blurred = (double)names.count;
     if (names.count)
         rn_problems_add(all->problems, RN_SEVERITY_WARNING, all->dataset->name,
-                        "%zu photographs have less than %.0f %% of the sharpness of those that the "
-                        "same camera took before and after them: %s",
-                        names.count, 100 * BLURRED, names.text);
+                        "%zu photograph%s less than %.0f %% of the sharpness of those that the "
+                        "same camera took before and after: %s",
+                        names.count, names.count == 1 ? " has" : "s have", 100 * BLURRED,
+                        names.text);
     if (alone && all->count > NEIGHBOURS)
         rn_problems_add(
             all->problems, RN_SEVERITY_INFO, all->dataset->name,

@@ -140,7 +140,7 @@ def test_small_pictures_are_judged_as_photographs_are(real, tmp_path):
     assert known["blurred"] == 1 and known["duplicates"] == 1
     assert {key: found["survey"][key] for key in known} == known
     told = " ".join(problem["text"] for problem in found["problems"])
-    assert "before and after them: r_5" in told and "r_11 and r_12" in told
+    assert "before and after: r_5" in told and "r_11 and r_12" in told
     some = validate(real, upload(real, heads(folder, looks=names[:8])))["report"]["survey"]
     assert some["blurred"] == 1 and some["duplicates"] == 0
     assert some["azimuth_gap_deg"] == known["azimuth_gap_deg"]  # of all cameras
@@ -163,7 +163,7 @@ def test_photographs_without_poses_are_judged_by_their_pictures(real, tmp_path):
     assert "bounds" not in found and "up" not in found
     assert found["report"]["survey"] == {"blurred": 1, "duplicates": 1}
     told = " ".join(problem["text"] for problem in found["report"]["problems"])
-    assert "before and after them: w_5.jpg" in told and "nearly the same: w_8.jpg and w_9.jpg" in told
+    assert "before and after: w_5.jpg" in told and "nearly the same: w_8.jpg and w_9.jpg" in told
     assert {problem["where"] for problem in found["report"]["problems"]} == {"dataset"}
     assert "12 photographs without poses, the first of 192x96 pixels, all of one camera" in told
     wide = io.BytesIO()

@@ -51,7 +51,7 @@ def test_blur_and_duplicates_are_told_before_anything_is_sent(page, daemon, ring
     page.open(server.url)
     page.find(".drop")
     page.all("#folder-input")[0].send_keys(str(ring))
-    page.says("the same camera took before and after them: p_4", ".preview .problems")
+    page.says("the same camera took before and after: p_4", ".preview .problems")
     notes(page, "p_8 and p_9")
     page.says("12 train", ".preview .facts")
     assert page.run("return fetch('v1/datasets').then((r) => r.json());")["items"] == []
@@ -90,7 +90,7 @@ def test_photographs_without_poses_are_looked_at_too(page, daemon, ring):
     page.find(".drop")
     page.all("#folder-input")[0].send_keys(str(ring / "images"))
     page.says("photographs without poses")
-    page.says("the same camera took before and after them: p_4.jpg", ".preview .problems")
+    page.says("the same camera took before and after: p_4.jpg", ".preview .problems")
     notes(page, "nearly the same: p_8.jpg and p_9.jpg")
     notes(page, "12 photographs without poses, the first of 1200x1200")
     page.until(lambda: page.ink(".preview-thumb") > 0, "a thumbnail")

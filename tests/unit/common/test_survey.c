@@ -171,7 +171,7 @@ START_TEST(blur) {
     put_photo(7, 8, 8);
     survey();
     ck_assert_double_eq(found.blurred, 1);
-    ck_assert(tells("the same camera took before and after them: r_7"));
+    ck_assert(tells("the same camera took before and after: r_7"));
     ck_assert(!tells("is not judged"));
 }
 END_TEST
@@ -186,7 +186,7 @@ START_TEST(names_in_no_order) {
     survey();
     along = 1;
     ck_assert_double_eq(found.blurred, 2);
-    ck_assert(tells("before and after them: r_2"));
+    ck_assert(tells("before and after: r_2"));
 }
 END_TEST
 
@@ -206,7 +206,7 @@ START_TEST(cameras_that_are_soft) {
     char words[64];
     snprintf(words, sizeof words, "whether %d of the photographs are sharp is not", unjudged[_i]);
     ck_assert_double_eq(found.blurred, blurred[_i]);
-    ck_assert_int_eq(tells("took before and after them: r_7"), _i == 0);
+    ck_assert_int_eq(tells("took before and after: r_7"), _i == 0);
     ck_assert_int_eq(tells(words), unjudged[_i] > 0);
 }
 END_TEST
@@ -406,7 +406,7 @@ START_TEST(photographs_without_poses) {
     ck_assert_uint_eq(problems.errors, 2);
     ck_assert(found.blurred == 1 && found.duplicates == 1);
     ck_assert(isnan(found.looking_away) && isnan(found.train_bytes));
-    ck_assert(tells("took before and after them: train/r_7.png"));
+    ck_assert(tells("took before and after: train/r_7.png"));
     ck_assert(tells("nearly the same: train/r_11.png and train/r_12.png"));
     rn_photos_finish(&photos);
 }
