@@ -46,6 +46,7 @@ class World:
         self.missing = set()  # views that could not be used: (split, index)
         self.uploaded = []  # the files of each dataset, or a scene's bytes
         self.uploads, self.parts, self.line_dead_below = {}, [], 0
+        self.centre = [0, 0, 0]  # of the bounds that a validation finds
         self.untrained = False  # a scene of no steps is rendered all the same
         self.curve = None  # of every scene
         self.films = True  # whether the module that makes them is installed
@@ -408,7 +409,7 @@ class World:
             "report": contract.example("DatasetReport"), "up": [0, 0, 1], "items": views,
             "scales": job["options"].get("scales", 1),
             "views": {"train": 5 - tests, "val": 0, "test": tests},
-            "bounds": {"centre": [0, 0, 0], "radius": 1.5, "source": "layout"}}
+            "bounds": {"centre": self.centre, "radius": 1.5, "source": "layout"}}
         self.set_state(job, "succeeded")
 
     def advance_doctor(self, job, dt):

@@ -353,9 +353,10 @@ def test_upload_takes_what_the_json_names(blank):
                       file('d/images_4/c.jpg', 'x'))
         ];
         const film = await planUpload([file('walk/a.MOV', 'abcd'), file('walk/a.txt', 'x')]);
+        const alone = await planUpload([file('round the cup.mp4', 'abcd')]);
         return {
           bare: {...bare, entries: bare.entries.map((e) => e.path)},
-          film: {...film, entries: film.entries.map((e) => e.path)},
+          film: {...film, entries: film.entries.map((e) => e.path)}, alone: alone.name,
           good: {...good, entries: good.entries.map((e) => e.path)},
           awkward,
           multi: multi.layout,
@@ -383,6 +384,7 @@ def test_upload_takes_what_the_json_names(blank):
     assert bare["poses"] == film["poses"] == "find" and not bare["problem"] and "poses" not in good
     assert bare["name"] == "trip" and bare["views"] == {"photographs": 3} and bare["left"] == 2
     assert len(bare["entries"]) == 3 and film["entries"] == ["walk/a.MOV"] and film["bytes"] == 4
+    assert film["name"] == "walk" and result["alone"] == "round-the-cup"
     assert result["multi"] == "multi-scale Blender"
     assert (
         "transforms_train.json" in result["none"]

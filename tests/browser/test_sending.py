@@ -240,6 +240,45 @@ return tries;""")
     assert tries == 20
 
 
+def test_an_upload_that_is_whole_waits_for_the_daemon_to_take_it(page, fake):
+    """The last of its requests, whose answer was lost: all was to be sent once more."""
+    page.open(fake("empty").url)
+    page.find(".drop")
+    assert page.run("""
+const [{api, Unreachable}, {sendInParts}] = await Promise.all(['api.js', 'sending.js'].map(load));
+api.beginUpload = async () => ({id: 'up', offset: 0});
+let lost = 0;
+const job = await sendInParts(new Blob([]), 'any', {
+  onProgress: () => {},
+  onWait: () => setTimeout(() => dispatchEvent(new Event('online'))),
+  take: async (upload) => {
+    if (++lost < 20) throw new Unreachable();
+    return `what imports ${upload}`;
+  },
+  signal: new AbortController().signal
+});
+return [job, lost];""") == ["what imports up", 20]
+
+
+def test_what_was_chosen_stands_in_the_middle_of_its_plot_and_before_its_photographs(page, fake, folder):
+    """Cameras far from the bounds' centre were a speck; what is wrong stood below all photographs."""
+    api = fake("empty")
+    api.world.centre = [20, 0, 0]
+    choose(page, api, folder)
+    page.until(lambda: page.ink(".preview canvas.cloud") > 0, "the cameras")
+    wide, off = page.run("""
+const canvas = document.querySelector('.preview canvas.cloud');
+const {data, width, height} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+const columns = [...Array(width).keys()].filter(
+    (x) => [...Array(height).keys()].some((y) => data[4 * (y * width + x) + 3]));
+const [low, high] = [columns[0], columns.at(-1)];
+return [(high - low) / height, Math.abs((low + high) / 2 - width / 2) / height];""")
+    assert wide > 0.5 and off < 0.15
+    report, photos = (page.run("return document.querySelector(args[0]).getBoundingClientRect().top;", css)
+                      for css in (".preview .problems", ".preview .photos"))
+    assert report < photos
+
+
 def test_photographs_are_chosen_as_files_where_there_is_no_folder(page, fake, folder):
     """As of a phone's gallery: whose cameras are looked for."""
     page.open(fake("empty").url)

@@ -158,7 +158,8 @@ function photosOnly(entries) {
   const masks = photos.filter(({path}) => /(^|\/)masks\//.test(path)).length;
   return {
     name: safeName(
-        chosen[0].path.split('/').slice(0, -1).find((part) => part !== 'images') ?? 'photographs'),
+        chosen[0].path.split('/').slice(0, -1).find((part) => part !== 'images') ??
+        (chosen === films ? chosen[0].path.replace(/\.\w+$/, '') : 'photographs')),
     layout: chosen === photos ? 'photographs without poses' : 'a film',
     entries: chosen,
     bytes: chosen.reduce((sum, entry) => sum + entry.file.size, 0),

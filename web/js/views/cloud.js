@@ -32,8 +32,12 @@ function drawPoints(canvas, camera, points) {
 function distanceOf(photographs, centre, share) {
   const all = photographs.map(({pose}) => Math.hypot(...centre.map((c, i) => pose[i][3] - c)))
                   .sort((a, b) => a - b);
-  return all[Math.floor(share * all.length)] ?? 1;
+  return all[Math.floor(share * all.length)] || 1;
 }
+
+/** Between all cameras: what a plot without points is of. */
+export const middleOf = (items) => [0, 1, 2].map(
+    (i) => items.reduce((sum, {camera}) => sum + openCvPose(camera)[i][3], 0) / items.length);
 
 /** What marks a split in the plot, and in its legend. */
 export const SPLIT_COLOURS = {

@@ -8,7 +8,7 @@ import {facts, meter, recordedProblem, scroller} from '../ui.js';
 import {headOf, isPhotograph} from '../photocheck.js';
 import {sendInParts} from '../sending.js';
 import {tarOf} from '../tar.js';
-import {cameraPlot, SPLIT_COLOURS} from './cloud.js';
+import {cameraPlot, middleOf, SPLIT_COLOURS} from './cloud.js';
 import {expected, report} from './dataset.js';
 
 const MOST = 128 << 20;  // more is not sent to be looked at, or a quarter of what an import takes
@@ -100,8 +100,8 @@ function foundUnposed({views, report: told}, files) {
                      .map((file) => ({file}));
   return [
     facts([['Photographs', `${views.train}`]]),
-    h('div', {class: 'photos'}, some(photos, THUMBS).map((item) => thumbnail(item, files))),
-    report(told, true)
+    report(told, true),
+    h('div', {class: 'photos'}, some(photos, THUMBS).map((item) => thumbnail(item, files)))
   ];
 }
 
@@ -120,7 +120,7 @@ function found(validation, files, {take, isWhole, signal}) {
   const masked = items.filter((item) => item.mask).length;
   const splits = Object.keys(SPLIT_COLOURS).filter((split) => views[split]);
   const {width, height} = items[0]?.camera ?? {};
-  const plot = cameraPlot(validation, items, signal);
+  const plot = cameraPlot({...validation, bounds: {centre: middleOf(items)}}, items, signal);
   return [
     facts([
       ['Views', splits.map((split) => [swatch(split), ` ${views[split]} ${split} `])],
@@ -130,9 +130,9 @@ function found(validation, files, {take, isWhole, signal}) {
       ...expected(validation.report.expected, null)
     ]),
     items.length ? plot.node : null,
+    report(validation.report, true),
     h('div', {class: 'photos'}, some(items, THUMBS).map((item) => thumbnail(item, files))),
-    validation.report.choices ? choices(validation.report.choices, take) : null,
-    report(validation.report, true)
+    validation.report.choices ? choices(validation.report.choices, take) : null
   ];
 }
 
