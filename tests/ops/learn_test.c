@@ -563,15 +563,11 @@ static double worst_difference(const struct rn_picture *a, const struct rn_pictu
     return worst;
 }
 
-// Rays that end early pass over thin haze, which they would have met in `cells` but not in
-// `chosen`, of the field: fewer samples, and a picture that differs no more than it did by their
-// ends.
-static void check_chosen_cells(struct rn_engine *engine, struct rn_field *field,
-                               struct rn_camera camera, struct rn_occupancy_bits *chosen,
-                               struct rn_occupancy_bits cells) {
-    const struct rn_render_options early = {.outputs = RN_OUTPUT_RGB,
-                                            .background = {1, 1, 1},
-                                            .settings = {.stop = 0.1, .supersample = 1}};
+// For rays that end early: `chosen` cells spare the haze of `cells`, and the picture is as near.
+static void check_cells(struct rn_engine *engine, struct rn_field *field, struct rn_camera camera,
+                        struct rn_occupancy_bits *chosen, struct rn_occupancy_bits cells) {
+    struct rn_render_options early = {.outputs = RN_OUTPUT_RGB, .background = {1, 1, 1}};
+    early.settings = (struct rn_render_settings){.stop = 0.1, .supersample = 1};
     struct rn_occupancy_bits kept = *chosen;
     struct rn_render_result full = render_all(engine, field, camera, 0);
     struct rn_render_result quick = render(engine, field, camera, early);
@@ -601,17 +597,13 @@ static void check_refinement(struct rn_engine *engine, struct rn_field *field,
         rn_field_choose_cells(field, field->fine_levels + 1 + 3 * quick, 0.1 * quick);
         ck_assert_int_eq(field->cpu.occupancy.cells, field->config.field.occupancy);
     }
-    for (int above = 1; above <= 3; above++) {
+    check_cells(engine, field, frame->camera, &field->firm, field->fine);
+    for (int above = 1; above <= 3; above++) { // cones two to eight times as wide
+        struct rn_occupancy_bits *chosen = above > 1 ? &field->fine : &field->firm;
+        struct rn_camera wide = rn_camera_resized(&frame->camera, 48 >> above, 48 >> above);
         rn_field_choose_cells(field, field->fine_levels + above, 0.1);
-        const struct rn_occupancy_bits *chosen = above > 1 ? &field->fine : &field->firm;
         ck_assert_ptr_eq(field->cpu.occupancy.words, chosen->words);
-    }
-    check_chosen_cells(engine, field, frame->camera, &field->firm, field->fine);
-    // Of cones two to eight times as wide as any that the cells were looked at with.
-    for (int side = 24; side >= 6; side /= 2) {
-        struct rn_camera wide = rn_camera_resized(&frame->camera, side, side);
-        check_chosen_cells(engine, field, wide, side < 24 ? &field->fine : &field->firm,
-                           field->coarse);
+        check_cells(engine, field, wide, chosen, field->coarse);
     }
     rn_field_refine_occupancy(field, alone);
     struct rn_render_result same = render_all(engine, field, frame->camera, 0);
