@@ -87,9 +87,9 @@ struct rn_incident {
 // The oldest incident not taken yet; false when there is none. A few are held between two takes.
 bool rn_trainer_take_incident(struct rn_trainer *trainer, struct rn_incident *ret_incident);
 
-// Held-out PSNR, cut into blocks like training, of at most 2^20 evenly spread pixels a view on the
-// CPU; changes no training state. *ret_done when a whole round over the held-out views is finished
-// and progress.psnr is new.
+// Held-out PSNR, cut into blocks like training, on the CPU of at most 2^18 evenly spread pixels of
+// all views, of 2^21 where no later figure can be had; changes no training state. *ret_done when a
+// whole round over the held-out views is finished and progress.psnr is new.
 enum rn_status rn_trainer_validate(struct rn_trainer *trainer, double budget_ms, bool *ret_done,
                                    struct rn_error *err) RN_MUST_CHECK;
 // Whether such a figure can be had. Photographs that are withheld for it may be trained on later in

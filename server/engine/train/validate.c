@@ -74,8 +74,9 @@ static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *
 static void validate_next(struct rn_trainer *t) {
     struct rn_validation *v = &t->validation;
     struct validate_block b = {.trainer = t, .frame = &t->held.frames[v->frame], .first = v->pixel};
+    bool last = t->progress.done || rn_trainer_figure(t) == RN_FIGURE_LAST;
     b.grid = rn_validate_grid(b.frame->camera.width, b.frame->camera.height,
-                              RN_VALIDATE_PIXELS / (size_t)t->held.frame_count);
+                              rn_validate_most(last, t->held.frame_count));
     size_t pixels = (size_t)b.grid.width * (size_t)b.grid.height;
     b.count = pixels - v->pixel < RN_VALIDATE_BLOCK ? pixels - v->pixel : RN_VALIDATE_BLOCK;
     b.march = rn_effects_march_pictures(t->field);

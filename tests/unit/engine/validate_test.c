@@ -33,11 +33,22 @@ START_TEST(pixels_of_a_view_are_spread_evenly) {
 }
 END_TEST
 
+// The figure that is kept is of as many pixels as one may wait for, those on the way of an eighth.
+START_TEST(the_last_round_looks_at_more) {
+    for (int views = 1; views <= 4096; views *= 8) {
+        size_t on_the_way = rn_validate_most(false, views), last = rn_validate_most(true, views);
+        ck_assert_uint_eq(on_the_way * (size_t)views, 1 << 18);
+        ck_assert_uint_eq(last, 8 * on_the_way);
+    }
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("validate");
     TCase *cases = tcase_create("validate");
     tcase_add_loop_test(cases, pixels_of_a_view_are_spread_evenly, 0,
                         (int)(sizeof sizes / sizeof *sizes));
+    tcase_add_test(cases, the_last_round_looks_at_more);
     suite_add_tcase(suite, cases);
     return run_suite(suite);
 }
