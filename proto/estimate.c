@@ -4,7 +4,9 @@
 static const struct rn_field_spec calibration[] = {
     RN_F_NUMBERS(S, seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBERS(S, psnr, 0, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, whole_seconds, 0, 0, INFINITY),
     RN_F_NUMBER(S, step_seconds, RN_REQUIRED, 0, INFINITY),
+    RN_F_NUMBER(S, turn_seconds, 0, 0, INFINITY),
     RN_F_NUMBER(S, load_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, spent_seconds, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, max_seconds, RN_REQUIRED, 0, INFINITY),

@@ -11,7 +11,9 @@
 struct rn_calibration {
     // On the training clock, and held out, at the looks; NAN: nothing is.
     double seconds[RN_CALIBRATION_LOOKS], psnr[RN_CALIBRATION_LOOKS];
+    double whole_seconds; // of the training that was begun; NAN: made by an older build
     double step_seconds;  // on the mean, until the last look
+    double turn_seconds;  // until then, between steps: passes over the photographs; NAN
     double load_seconds;  // all before the first step, once
     double spent_seconds; // in all
     double max_seconds;   // that the training asked for may take; 0: no limit

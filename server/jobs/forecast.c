@@ -3,7 +3,7 @@
 #include <math.h>
 
 // Fitted to sixteen trainings of eleven datasets (tests/bench/figures.md, "Estimates").
-#define RISE 0.45    // from the last look to the end, of what was gained since the first
+#define RISE 0.45    // from 15/32 to the end, of what was gained since 5/32
 #define LONGER 0.3   // of what is gained after the look before the last, what twice the time gains,
 #define SHRINKS 0.72 // and of that the next doubling
 #define LATER 1.22   // times as long takes a step of the whole as one before the last look
@@ -13,7 +13,8 @@
 enum { LAST = RN_CALIBRATION_LOOKS - 1 };
 
 double rn_forecast_seconds(const struct rn_calibration *c) {
-    double by_steps = c->max_steps > 0 ? (double)c->max_steps * LATER * c->step_seconds : INFINITY;
+    double steps = (double)c->max_steps * LATER * c->step_seconds;
+    double by_steps = c->max_steps > 0 ? c->turn_seconds + steps : INFINITY;
     double seconds = fmin(by_steps, c->max_seconds > 0 ? c->max_seconds : INFINITY);
     return isfinite(seconds) ? seconds : NAN;
 }
@@ -22,25 +23,30 @@ static double gained(const struct rn_calibration *c, int since, int until) {
     return fmax(c->psnr[until] - c->psnr[since], 0);
 }
 
+// From the last look to the end. A look after 15/32 has seen a part of what rises after that.
 static double rise(const struct rn_calibration *c) {
-    return RISE * gained(c, 0, LAST);
+    double left = fmax(1 - c->seconds[LAST] / c->whole_seconds, 0);
+    double share = pow(left / (1 - RN_CALIBRATION_LOOKED), BENT);
+    return gained(c, 0, LAST) * RISE * share / (1 + RISE * (1 - share));
 }
 
 double rn_forecast_psnr(const struct rn_calibration *c, double seconds) {
-    if (!(c->seconds[LAST] >= LEAST_STEPS * c->step_seconds) || isnan(c->psnr[0])) return NAN;
-    double doublings = log2(seconds * RN_CALIBRATION_LOOKED / c->seconds[LAST]);
+    bool told = c->seconds[LAST] - c->turn_seconds >= LEAST_STEPS * c->step_seconds;
+    if (!told || isnan(c->psnr[0])) return NAN;
+    double doublings = log2(seconds / c->whole_seconds);
     double longer = LONGER * (1 - pow(SHRINKS, doublings)) / (1 - SHRINKS);
     return c->psnr[LAST] + rise(c) + longer * (rise(c) + gained(c, LAST - 1, LAST));
 }
 
 // On the way to its end; before the last look as it was seen, in the logarithm of time.
 static double psnr_at(const struct rn_calibration *c, double limit, double seconds) {
-    double end = rn_forecast_psnr(c, limit), done = seconds / limit;
-    if (done >= RN_CALIBRATION_LOOKED)
-        return end - rise(c) * pow((1 - done) / (1 - RN_CALIBRATION_LOOKED), BENT);
-    double look = done / RN_CALIBRATION_LOOKED * RN_CALIBRATION_LOOKS; // 1, 2 ...: the first ...
-    int next = look < 2 ? 1 : LAST;                                    // of the two about it
-    double left = log2((next + 1) / look) / log2((next + 1.0) / next);
+    const double *looked = c->seconds;
+    double end = rn_forecast_psnr(c, limit), done = seconds / limit * c->whole_seconds;
+    if (done > looked[LAST])
+        return end -
+               rise(c) * pow((c->whole_seconds - done) / (c->whole_seconds - looked[LAST]), BENT);
+    int next = done < looked[1] ? 1 : LAST;
+    double left = log(looked[next] / done) / log(looked[next] / looked[next - 1]);
     return end - rise(c) - gained(c, next, LAST) - gained(c, next - 1, next) * left;
 }
 

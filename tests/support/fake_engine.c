@@ -51,7 +51,7 @@ struct rn_field {
 struct rn_trainer {
     struct rn_field field;
     int64_t psnr_step;
-    double evaluate_seconds, load_seconds;
+    double evaluate_seconds, load_seconds, turn_seconds;
     int validated; // views of the round under way
     char saved_sha256[65];
     bool incident; // noted, not taken
@@ -401,8 +401,10 @@ enum rn_status rn_trainer_advance(struct rn_trainer *trainer, double budget_ms,
         usleep(step_us);
         if (stands_still(field)) break;
         field->state = field->state * 6364136223846793005u + 1442695040888963407u;
-        if (field->steps++ == 300)
-            field->train_seconds += (double)setting("RIPNERF_FAKE_PASS_S", 0);
+        if (field->steps++ == 300) {
+            trainer->turn_seconds = (double)setting("RIPNERF_FAKE_PASS_S", 0);
+            field->train_seconds += trainer->turn_seconds;
+        }
         double now = now_s();
         field->train_seconds += step_s ? atof(step_s) : now - last;
         last = now;
@@ -472,6 +474,7 @@ void rn_trainer_progress(const struct rn_trainer *trainer, struct rn_progress *r
     *ret_progress = (struct rn_progress){
         .step = field->steps,
         .train_seconds = field->train_seconds,
+        .turn_seconds = trainer->turn_seconds,
         .load_seconds = trainer->load_seconds,
         .evaluate_seconds = trainer->evaluate_seconds,
         .loss = exp(-(double)field->steps / 200),

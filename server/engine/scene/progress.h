@@ -9,6 +9,7 @@
 struct rn_progress {
     int64_t step;
     double train_seconds;                       // the --max-time clock
+    double turn_seconds;                        // of these, what came between steps; not saved
     double load_seconds;                        // all before the first step, not on the clock
     double evaluate_seconds;                    // held-out evaluation, not on the clock
     double loss;                                // of the last step

@@ -67,8 +67,7 @@ bool rn_trainer_turn_due(const struct rn_trainer *t) {
            rn_trainer_gives_back(t) || t->growth || rn_trainer_grows(t) || march_due(t);
 }
 
-// *ret_busy: there is more of it to do before a step.
-static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_error *err) {
+static enum rn_status take_due(struct rn_trainer *t, bool *ret_busy, struct rn_error *err) {
     *ret_busy = false;
     if (!t->growth && rn_trainer_poses_due(t)) {
         enum rn_status status = rn_trainer_refine_poses(t, ret_busy, err);
@@ -84,6 +83,14 @@ static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_
     if (status == RN_OK && rn_trainer_gives_back(t)) status = rn_trainer_give_back(t, err);
     if (status == RN_OK) status = rn_trainer_grow(t, err);
     *ret_busy = t->growth != NULL;
+    return status;
+}
+
+// *ret_busy: there is more of it to do before a step.
+static enum rn_status take_turn(struct rn_trainer *t, bool *ret_busy, struct rn_error *err) {
+    double begin = (double)rn_clock_ns();
+    enum rn_status status = take_due(t, ret_busy, err);
+    t->progress.turn_seconds += ((double)rn_clock_ns() - begin) * 1e-9;
     return status;
 }
 

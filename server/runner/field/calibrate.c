@@ -94,7 +94,9 @@ static void note_look(struct rn_host *host) {
     rn_trainer_progress(c->trainer, &progress);
     c->found.seconds[c->look] = progress.train_seconds;
     c->found.psnr[c->look] = progress.psnr;
-    c->found.step_seconds = progress.train_seconds / (double)(progress.step ? progress.step : 1);
+    double stepped = progress.train_seconds - progress.turn_seconds;
+    c->found.turn_seconds = progress.turn_seconds;
+    c->found.step_seconds = stepped / (double)(progress.step ? progress.step : 1);
     c->found.load_seconds = progress.load_seconds;
     c->found.memory_bytes = rn_resident_bytes();
     c->found.disk_bytes = disk_bytes(&info);
@@ -153,6 +155,7 @@ static void conclude(struct rn_host *host) {
     char *result = NULL;
     rn_engine_describe(host->engine, &device);
     found->spent_seconds = now_s() - c->began_s;
+    found->whole_seconds = whole_seconds(c);
     found->max_seconds = c->config.max_seconds;
     found->max_steps = c->config.max_steps;
     found->threads = device.threads;

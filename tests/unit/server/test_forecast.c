@@ -6,6 +6,7 @@
 
 static const struct rn_calibration calibration = {.seconds = {9.375, 18.75, 28.125},
                                                   .psnr = {28, 30, 31},
+                                                  .whole_seconds = 60,
                                                   .step_seconds = 0.01,
                                                   .max_seconds = 60,
                                                   .max_steps = 0};
@@ -70,6 +71,7 @@ START_TEST(as_it_was) {
         const double *psnr = seen[i].looks;
         struct rn_calibration c = {.seconds = {begun / 3, begun * 2 / 3, begun},
                                    .psnr = {psnr[0], psnr[1], psnr[2]},
+                                   .whole_seconds = seen[i].limit,
                                    .step_seconds = begun / seen[i].begun,
                                    .max_steps = seen[i].steps};
         double off = rn_forecast_psnr(&c, seen[i].limit) - seen[i].psnr;
@@ -99,6 +101,33 @@ START_TEST(passings) {
 }
 END_TEST
 
+// A last look that waited: what it saw is told as it was seen, and less is left to rise.
+START_TEST(a_late_look) {
+    struct rn_calibration late = calibration;
+    late.seconds[2] = 45;
+    double end = rn_forecast_psnr(&late, 60);
+    ck_assert(end > 31 && end < rn_forecast_psnr(&calibration, 60));
+    ck_assert_double_eq_tol(rn_forecast_passing(&late, 60, 30), 18.75, 0.01);
+    ck_assert_double_eq_tol(rn_forecast_passing(&late, 60, 31), 45, 0.01);
+    ck_assert_double_eq_tol(rn_forecast_passing(&late, 60, end), 60, 0.01);
+    late.seconds[2] = 61; // by a step as long as what was left
+    ck_assert_double_eq_tol(rn_forecast_psnr(&late, 60), 31, 1e-9);
+}
+END_TEST
+
+// What comes between steps is told once, and counts for no step.
+START_TEST(between_steps) {
+    struct rn_calibration c = calibration;
+    c.turn_seconds = 5;
+    c.max_steps = 1000;
+    ck_assert_double_eq_tol(rn_forecast_seconds(&c), 5 + 12.2, 1e-9);
+    c.step_seconds = 0.35; // 66 steps in 23.1 s
+    ck_assert(isnan(rn_forecast_psnr(&c, 60)));
+    c.turn_seconds = 0;
+    ck_assert(!isnan(rn_forecast_psnr(&c, 60)));
+}
+END_TEST
+
 START_TEST(nothing_is_told_of_nothing) {
     struct rn_calibration c = calibration;
     c.psnr[0] = c.psnr[1] = c.psnr[2] = NAN; // nothing was held out
@@ -117,6 +146,8 @@ int main(void) {
     tcase_add_test(all, ends);
     tcase_add_test(all, as_it_was);
     tcase_add_test(all, passings);
+    tcase_add_test(all, a_late_look);
+    tcase_add_test(all, between_steps);
     tcase_add_test(all, nothing_is_told_of_nothing);
     suite_add_tcase(suite, all);
     return run_suite(suite);
