@@ -162,10 +162,10 @@ void rn_field_refresh_occupancy(struct rn_field *field) {
 
 // ---- finer, of a field at rest --------------------------------------------------------------
 
-#define FINEST 256   // cells a side
-#define CHUNK 2048   // cells a task
-#define POINTS 8     // of a cell, 2 x 2 x 2
-#define SPARSE 0.125 // of all cells, that are occupied at most
+#define FINEST 256     // cells a side
+#define CHUNK 2048     // cells a task
+#define POINTS 8       // of a cell, 2 x 2 x 2
+#define SPARSE 0.125   // of all cells, that are occupied at most
 #define EARLY_LEVELS 3 // more of the pyramid that finer cells do for where rays end early
 
 enum matter { NONE, HAZE, FIRM };
