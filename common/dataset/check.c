@@ -26,6 +26,20 @@ static enum rn_status look_at_mask(const struct rn_frame *frame, bool *ret_hidde
     return status;
 }
 
+static void cut_off(struct rn_image *image, const int bars[4]) {
+    int width = image->width - bars[0] - bars[2], height = image->height - bars[1] - bars[3];
+    for (int y = 0; y < height && width < image->width; y++) {
+        size_t from = (size_t)(y + bars[1]) * (size_t)image->width + (size_t)bars[0];
+        memmove(image->pixels + 4 * (size_t)y * (size_t)width, image->pixels + 4 * from,
+                4 * (size_t)width);
+    }
+    if (width == image->width)
+        memmove(image->pixels, image->pixels + 4 * (size_t)bars[1] * (size_t)width,
+                4 * (size_t)width * (size_t)height);
+    image->width = width;
+    image->height = height;
+}
+
 enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *survey,
                                struct rn_image *ret_image, struct rn_error *err) {
     bool hidden;
@@ -35,12 +49,16 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *s
         (status = rn_image_turn(&image, frame->turn, err)) != RN_OK)
         rn_image_finish(&image);
     if (status) return status;
-    if (image.width != frame->camera.width || image.height != frame->camera.height) {
+    const int *bars = frame->bars;
+    int width = frame->camera.width + bars[0] + bars[2];
+    int height = frame->camera.height + bars[1] + bars[3];
+    if (image.width != width || image.height != height) {
         status = rn_error_set(err, RN_ERROR_INVALID, frame->path, "is %dx%d pixels, not %dx%d",
-                              image.width, image.height, frame->camera.width, frame->camera.height);
+                              image.width, image.height, width, height);
         rn_image_finish(&image);
         return status;
     }
+    cut_off(&image, bars);
     if ((status = look_at_mask(frame, &hidden, err))) {
         rn_image_finish(&image);
         return status;
@@ -88,6 +106,7 @@ enum rn_status rn_dataset_check_images(struct rn_dataset *dataset, int threads,
     struct check check = {.dataset = dataset, .survey = survey};
     check.faults = calloc(dataset->frame_count, sizeof *check.faults);
     if (!check.faults) return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
+    rn_dataset_cut_bars(dataset, problems);
     enum rn_status status = rn_output_run(threads, dataset->frame_count, check_frame, &check,
                                           progress, context, dataset->name, err);
     if (status == RN_OK) {

@@ -32,10 +32,12 @@ struct rn_frame {
     uint32_t camera_key;  // of struct rn_image_info: which camera it was; 0: not said
     bool located;         // the file's EXIF says where it was taken
     double located_at[3]; // of struct rn_image_info
-    int turn;         // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
-    double gain[3];   // how bright its stored values are against the other photographs', by
-                      // channel; 0: not measured
-    int photo;        // which photograph it is of, for struct rn_sighting
+    int turn;       // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
+    int bars[4];    // pixels that are cut off then, at the left, top, right and bottom: `camera` is
+                    // of what is left
+    double gain[3]; // how bright its stored values are against the other photographs', by
+                    // channel; 0: not measured
+    int photo;      // which photograph it is of, for struct rn_sighting
     double near, far; // along the optical axis, dataset units, as the source gives or its points
                       // say; 0: not known
     struct rn_camera camera;
@@ -185,6 +187,11 @@ struct rn_bounds rn_bounds_from_cameras(const struct rn_dataset *dataset, double
 // RN_ERROR_CORRUPT for a mask of another size, rn_image_read's statuses.
 enum rn_status rn_mask_read(const struct rn_frame *frame, uint8_t *used,
                             struct rn_error *err) RN_MUST_CHECK;
+
+// Where black bars lie along an edge of all photographs, by eight of them, they are cut off: of
+// cameras, of where points are seen, and when files are decoded; `problems` (optional) are told.
+// Photographs with masks, alpha channels or of several sizes keep theirs.
+void rn_dataset_cut_bars(struct rn_dataset *dataset, struct rn_problems *problems);
 
 struct rn_survey;
 // Decodes every image, `threads` at a time, and leaves out those that cannot be decoded whole,

@@ -145,7 +145,9 @@ static uint8_t *keep_file(const struct import *import, const struct rn_frame *vi
     uint8_t *bytes;
     int width, height;
     scaled_size(view, import->options, level, &width, &height);
-    bool same = width == view->camera.width && height == view->camera.height && view->turn <= 1;
+    static const int none[4];
+    bool same = width == view->camera.width && height == view->camera.height && view->turn <= 1 &&
+                memcmp(view->bars, none, sizeof none) == 0;
     return same && rn_image_strip(view->path, NULL, &bytes, ret_size, &why) == RN_OK ? bytes : NULL;
 }
 
@@ -449,6 +451,7 @@ enum rn_status rn_dataset_import(struct rn_dataset *source, const char *name,
     struct rn_import_options chosen = rn_import_settle(source, options, problems);
     struct import import = {.options = &chosen, .target = target, .levels = options->scales};
     enum rn_status status;
+    rn_dataset_cut_bars(source, problems);
     if ((status = check_options(source, &chosen, err)) ||
         (status = rn_output_check_new(target, err)) || (status = make_folders(target, err)) ||
         (status = choose_views(&import, source, err)) ||

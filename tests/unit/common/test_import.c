@@ -38,11 +38,15 @@ static enum rn_status import(const char *target) {
                              NULL, &err);
 }
 
-static void import_ok(const char *target) {
+static void import_warned(const char *target) {
     ck_assert_msg(import(target) == RN_OK, "%s: %s", err.where, err.text);
     rn_dataset_destroy(&made);
     enum rn_status status = rn_dataset_read(in_folder(target), &problems, &made, &err);
     ck_assert_msg(status == RN_OK, "%s: %s", err.where, err.text);
+}
+
+static void import_ok(const char *target) {
+    import_warned(target);
     ck_assert_uint_eq(problems.errors + problems.warnings, 0);
 }
 
@@ -224,6 +228,81 @@ START_TEST(jpeg_is_kept) {
 }
 END_TEST
 
+// Writes the photographs anew, without alpha: noise of brightness 64 and more within bars, of
+// `lone`
+// (-1: none) without any, and reads them.
+static void put_barred(const int bars[4], int brightest, int lone) {
+    for (int i = 0; i < VIEWS; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "source/train/r_%d.png", i);
+        struct rn_image image = noise(32, 24, (uint64_t)i);
+        image.has_alpha = false;
+        for (int at = 0; at < 32 * 24; at++) {
+            int x = at % 32, y = at / 32;
+            bool within = x >= bars[0] && y >= bars[1] && x < 32 - bars[2] && y < 24 - bars[3];
+            uint8_t *pixel = image.pixels + (size_t)at * 4;
+            for (int c = 0; c < 3; c++)
+                pixel[c] =
+                    (uint8_t)(within || i == lone ? brightest / 4 + pixel[c] * brightest / 340
+                                                  : (x + y) % 4);
+        }
+        ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 3, &err), RN_OK);
+        rn_image_finish(&image);
+    }
+    rn_dataset_destroy(&dataset);
+    read_ok(in_folder("source"));
+}
+
+static bool tells(const char *text) {
+    for (size_t i = 0; i < problems.count; i++)
+        if (strstr(problems.items[i].text, text)) return true;
+    return false;
+}
+
+// Of cameras, pixels, and where points are seen, which stay where they are in the scene.
+START_TEST(black_bars_are_cut_off) {
+    put_barred((const int[]){2, 1, 0, 5}, 255, -1);
+    struct rn_camera before = dataset->frames[0].camera;
+    dataset->points.sightings = calloc(1, sizeof *dataset->points.sightings);
+    dataset->points.sightings[0] = (struct rn_sighting){.x = 0.5f, .y = 0.5f};
+    dataset->points.sighting_count = 1;
+    rn_dataset_cut_bars(dataset, &problems);
+    ck_assert(tells("pixels: 2 at the left, 1 at the top, 5 at the bottom"));
+    ck_assert_float_eq_tol(dataset->points.sightings[0].x, 14.0f / 30, 1e-6f);
+    ck_assert_float_eq_tol(dataset->points.sightings[0].y, 11.0f / 18, 1e-6f);
+    dataset->points.sighting_count = 0;
+    import_warned("out"); // which finds no more
+    for (size_t i = 0; i < VIEWS; i++) {
+        const struct rn_camera *camera = &made->frames[i].camera;
+        ck_assert(camera->width == 30 && camera->height == 18 && camera->fx == before.fx);
+        ck_assert(camera->cx == before.cx - 2 && camera->cy == before.cy - 1);
+        struct rn_image from = read_image(dataset->frames[i].path),
+                        to = read_image(made->frames[i].path);
+        ck_assert(to.width == 30 && to.height == 18);
+        for (size_t y = 0; y < 18; y++)
+            ck_assert_mem_eq(to.pixels + 4 * 30 * y, from.pixels + 4 * (32 * (y + 1) + 2), 4 * 30);
+        rn_image_finish(&from);
+        rn_image_finish(&to);
+    }
+}
+END_TEST
+
+static const struct {
+    int bars[4], brightest, lone;
+} unbarred[] = {{{0, 0, 0, 0}, 255, -1},  // none
+                {{2, 1, 0, 5}, 255, 3},   // in all but one
+                {{2, 1, 0, 5}, 24, -1},   // what is dark may be no bar
+                {{0, 9, 0, 8}, 255, -1}}; // and what has most of a photograph neither
+
+START_TEST(what_is_no_bar_stays) {
+    put_barred(unbarred[_i].bars, unbarred[_i].brightest, unbarred[_i].lone);
+    import_warned("out");
+    ck_assert_int_eq(made->frames[0].camera.width, 32);
+    ck_assert_int_eq(made->frames[0].camera.height, 24);
+    ck_assert(!tells("black bars"));
+}
+END_TEST
+
 START_TEST(given_bounds) {
     struct rn_read_options how = {.bounds = {.centre = {1, 2, 3}, .radius = 0.1}};
     rn_dataset_destroy(&dataset);
@@ -345,6 +424,8 @@ int main(void) {
     tcase_add_test(tests, every_nth_training_view);
     tcase_add_test(tests, scaled_again);
     tcase_add_test(tests, jpeg_is_kept);
+    tcase_add_test(tests, black_bars_are_cut_off);
+    tcase_add_loop_test(tests, what_is_no_bar_stays, 0, (int)(sizeof unbarred / sizeof *unbarred));
     tcase_add_test(tests, given_bounds);
     tcase_add_test(tests, threads_do_not_show);
     tcase_add_test(tests, damaged_image_is_left_out);
