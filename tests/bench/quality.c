@@ -243,13 +243,13 @@ static void look_at_goals(struct run *run, struct rn_trainer *trainer) {
 static void report(struct rn_trainer *trainer) {
     struct rn_progress p;
     rn_trainer_progress(trainer, &p);
-    printf("step %6lld  %6.2f s (%.2f between steps)  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f "
-           "krays/s  rays/step %.0f  "
-           "levels %.2f\n",
-           (long long)p.step, p.train_seconds, p.turn_seconds, p.psnr_step == p.step ? p.psnr : NAN,
-           p.loss, p.samples_per_second * 1e-6, p.rays_per_second * 1e-3,
-           (double)p.rays / (double)(p.step ? p.step : 1),
-           p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0);
+    printf(
+        "step %6lld  %6.2f s  psnr %.2f  loss %.6f  %.2f Msamples/s  %.0f krays/s  rays/step %.0f  "
+        "levels %.2f  between steps %.2f s\n",
+        (long long)p.step, p.train_seconds, p.psnr_step == p.step ? p.psnr : NAN, p.loss,
+        p.samples_per_second * 1e-6, p.rays_per_second * 1e-3,
+        (double)p.rays / (double)(p.step ? p.step : 1),
+        p.samples ? 1 - (double)p.level_samples[0] / (double)p.samples : 0, p.turn_seconds);
     fflush(stdout);
 }
 
