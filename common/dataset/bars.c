@@ -6,7 +6,7 @@
 
 #include "common/dataset/reader.h"
 
-#define LOOKED_AT 8     // photographs, evenly among all: each is decoded for it
+#define LOOKED_AT 8     // photographs, evenly among all, until one has none: each is decoded for it
 #define LEAST 3         // of them that must tell
 #define BLACK 4.0       // of 255, the brightest channel's mean along a line, at most,
 #define SPECK 24        // and how bright one of its pixels may be
@@ -59,6 +59,14 @@ static void look(struct seen *seen, const struct rn_image *image) {
         seen->lit[side] += lit;
     }
     seen->count++;
+}
+
+// Whether all that were seen may have a bar on some side.
+static bool may_have_any(const struct seen *seen) {
+    int sum = 0;
+    for (enum side side = 0; side < SIDES; side++)
+        sum += seen->width[side];
+    return seen->count == 0 || sum > 0;
 }
 
 // Photographs without a mask or an alpha channel, all of one size and scale: else none is looked
@@ -122,7 +130,7 @@ void rn_dataset_cut_bars(struct rn_dataset *dataset, struct rn_problems *problem
     struct seen seen = {0};
     if (!are_alike(dataset)) return;
     size_t step = 1 + (dataset->frame_count - 1) / LOOKED_AT;
-    for (size_t f = 0; f < dataset->frame_count; f += step) {
+    for (size_t f = 0; f < dataset->frame_count && may_have_any(&seen); f += step) {
         struct rn_image image;
         if (rn_frame_decode(&dataset->frames[f], NULL, &image, NULL)) continue; // told later
         look(&seen, &image);
