@@ -112,7 +112,8 @@ static void cut(struct rn_dataset *dataset, const int width[SIDES]) {
     int down = before.height - width[TOP] - width[BOTTOM];
     for (size_t f = 0; f < dataset->frame_count; f++) {
         struct rn_frame *frame = &dataset->frames[f];
-        memcpy(frame->bars, width, sizeof frame->bars);
+        for (enum side side = 0; side < SIDES; side++)
+            frame->bars[side] += width[side]; // beside what was cut off before
         frame->camera.width = across;
         frame->camera.height = down;
         frame->camera.cx -= width[LEFT];

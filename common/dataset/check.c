@@ -28,14 +28,12 @@ static enum rn_status look_at_mask(const struct rn_frame *frame, bool *ret_hidde
 
 static void cut_off(struct rn_image *image, const int bars[4]) {
     int width = image->width - bars[0] - bars[2], height = image->height - bars[1] - bars[3];
-    for (int y = 0; y < height && width < image->width; y++) {
+    if (width == image->width && height == image->height) return;
+    for (int y = 0; y < height; y++) {
         size_t from = (size_t)(y + bars[1]) * (size_t)image->width + (size_t)bars[0];
         memmove(image->pixels + 4 * (size_t)y * (size_t)width, image->pixels + 4 * from,
                 4 * (size_t)width);
     }
-    if (width == image->width)
-        memmove(image->pixels, image->pixels + 4 * (size_t)bars[1] * (size_t)width,
-                4 * (size_t)width * (size_t)height);
     image->width = width;
     image->height = height;
 }
