@@ -12,9 +12,9 @@
 #define RN_VALIDATE_LEAST 8    // of it, a piece, at least
 
 // Pixels of one of `views` that a round renders, at most: of larger ones every second, third, ...
-// along both axes, so that photographs of 12 megapixels take no longer than these. The last figure,
-// which is kept, is of 2^21 in all, those on the way of 2^18, which lie within 0.05 dB of it: a
-// fog's pixels would take longer than all steps until then.
+// along both axes, so that photographs of 12 megapixels take no longer than these. The last figure
+// of a schedule is of 2^21 in all, those on the way of 2^18, such as one that ends a training: they
+// lay within 0.05 dB of it, and a fog's pixels would take longer than all steps until then.
 static inline size_t rn_validate_most(bool last, int views) {
     return ((size_t)1 << (last ? 21 : 18)) / (size_t)views;
 }
