@@ -297,13 +297,13 @@ extern const char *const rn_downscale_names[]; // "premultiplied", "straight"
 
 // Import: decode, scale and write a native dataset (dataset.json and images/) into the empty
 // folder `target`, dataset.json last and atomically. At most `threads` source images are in memory
-// at once, and where points are looked for (triangulate.h) small copies of 1,000, 120 MB as a rule,
-// 360 MB at most. An image that cannot be decoded is left out, of `source` too (counted there as
-// unusable), with an error in `problems` (optional); RN_ERROR_INVALID when that leaves no training
-// view. `progress` may be NULL; it is called by worker threads, one at a time; returning false from
-// it cancels (RN_ERROR_CANCELLED). Level j of a view is downscaled from its full-size (after
-// max_size) image to round(size / 2^j) and weighs 4^j; in straight mode the levels are
-// rn_image_legacy_pyramid's.
+// at once, and where points are looked for (triangulate.h) small copies of 1,000 at most that are
+// trained on and as many that are not, 240 KB each as a rule, 480 KB at most. An image that cannot
+// be decoded is left out, of `source` too (counted there as unusable), with an error in `problems`
+// (optional); RN_ERROR_INVALID when that leaves no training view. `progress` may be NULL; it is
+// called by worker threads, one at a time; returning false from it cancels (RN_ERROR_CANCELLED).
+// Level j of a view is downscaled from its full-size (after max_size) image to round(size / 2^j)
+// and weighs 4^j; in straight mode the levels are rn_image_legacy_pyramid's.
 struct rn_import_options {
     int max_size;                // longest side in pixels, 0 = as is
     int scales;                  // >= 1: how many scales to make; 1 keeps the dataset's own

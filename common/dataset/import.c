@@ -390,7 +390,10 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
         rn_triangulation_solve(import->triangulation, import->options->threads, source,
                                progress ? go_on : NULL, &part, &count, err);
     if (status || !count) return status;
-    if ((status = rn_dataset_find_depths(source, err))) return status;
+    if ((status = rn_dataset_find_depths(source, err)) ||
+        (status = rn_exposures_create(source, &import->exposures, err)))
+        return status;
+    rn_triangulation_show(import->triangulation, import->exposures);
     for (size_t i = 0; i < import->view_count * levels; i++) {
         import->outputs[i].near = import->views[i / levels]->near;
         import->outputs[i].far = import->views[i / levels]->far;

@@ -17,7 +17,9 @@
 #define LEAST 32       // of them a photograph,
 #define MOST 256       // and at most
 #define CORNER 8.0f    // grey levels a pixel, squared: the least of a corner's two gradients
+#define COLOURS 200    // the same of their colours
 #define NEIGHBOURS 6   // photographs that a corner is looked for in,
+#define WITNESSES 2    // those withheld, in which what was found is looked for afterwards,
 #define ALONG 0.85     // whose axes have at least this cosine with its own,
 #define TOO_NEAR 0.125 // no nearer than this share of the way to the last that could be,
 #define BESIDE 1e-6    // none beside another, within this share of the way to it
@@ -38,17 +40,20 @@ struct corner {
 // A photograph, small; without grey where it was not looked at.
 struct look {
     const struct rn_frame *frame;
+    bool withheld;
     struct rn_camera camera; // of the copy
     int cell;                // pixels of the photograph a side that make one of the copy
     uint8_t *grey;
+    struct rn_image colours; // smaller still; without pixels where memory was out
     struct corner *corners;
     int count;
 };
 
-// A point, and by which neighbours' photographs it was seen, and where.
+// A point, and by which photographs about it was seen, and where.
 struct found {
     struct rn_point point;
-    struct rn_sighting sightings[1 + NEIGHBOURS]; // the corner's own first; `point` is not set
+    struct rn_sighting
+        sightings[1 + NEIGHBOURS + WITNESSES]; // the corner's own first; `point` is not set
     int count;
 };
 
@@ -67,6 +72,7 @@ void rn_triangulation_destroy(struct rn_triangulation **triangulation) {
     for (size_t i = 0; i < t->count; i++) {
         free(t->looks[i].grey);
         free(t->looks[i].corners);
+        rn_image_finish(&t->looks[i].colours);
         if (t->found) free(t->found[i]);
     }
     free(t->looks);
@@ -90,9 +96,8 @@ static void number_photographs(struct rn_dataset *dataset) {
     }
 }
 
-static bool is_trained_on(const struct rn_frame *frame, int test_every) {
-    return frame->split == RN_SPLIT_TRAIN && frame->scale == 0 &&
-           (test_every < 2 || frame->index % test_every);
+static bool is_withheld(const struct rn_frame *frame, int test_every) {
+    return frame->split != RN_SPLIT_TRAIN || (test_every >= 2 && frame->index % test_every == 0);
 }
 
 enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_every,
@@ -101,25 +106,29 @@ enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_ever
     *ret_triangulation = NULL;
     if (!is_called_for(dataset)) return RN_OK;
     struct rn_triangulation *t = calloc(1, sizeof *t);
-    size_t usable = 0, kept = 0;
+    size_t usable[2] = {0, 0}, kept[2] = {0, 0}; // trained on, withheld
     for (size_t i = 0; i < dataset->frame_count; i++)
-        usable += is_trained_on(&dataset->frames[i], test_every);
-    size_t stride = (usable + RN_TRIANGULATE_PHOTOS - 1) / RN_TRIANGULATE_PHOTOS;
+        if (dataset->frames[i].scale == 0) usable[is_withheld(&dataset->frames[i], test_every)]++;
     if (t) {
+        size_t most = usable[0] + usable[1] + 1;
         t->name = dataset->name;
-        t->looks = calloc(usable + 1, sizeof *t->looks);
-        t->found = calloc(usable + 1, sizeof *t->found);
-        t->found_count = calloc(usable + 1, sizeof *t->found_count);
+        t->looks = calloc(most, sizeof *t->looks);
+        t->found = calloc(most, sizeof *t->found);
+        t->found_count = calloc(most, sizeof *t->found_count);
     }
     if (!t || !t->looks || !t->found || !t->found_count) {
         rn_triangulation_destroy(&t);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, dataset->name, "out of memory");
     }
     number_photographs(dataset);
-    for (size_t i = 0; i < dataset->frame_count; i++)
-        if (is_trained_on(&dataset->frames[i], test_every) && kept++ % stride == 0)
-            t->looks[t->count++].frame = &dataset->frames[i];
-    double share = (double)ALL / (double)(t->count ? t->count : 1);
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        const struct rn_frame *frame = &dataset->frames[i];
+        bool withheld = is_withheld(frame, test_every);
+        size_t stride = (usable[withheld] + RN_TRIANGULATE_PHOTOS - 1) / RN_TRIANGULATE_PHOTOS;
+        if (frame->scale == 0 && kept[withheld]++ % stride == 0)
+            t->looks[t->count++] = (struct look){.frame = frame, .withheld = withheld};
+    }
+    double share = (double)ALL / fmax(1, fmin((double)usable[0], RN_TRIANGULATE_PHOTOS));
     t->most = (int)fmin(MOST, fmax(LEAST, share));
     *ret_triangulation = t;
     return RN_OK;
@@ -188,6 +197,15 @@ static struct look *look_of(struct rn_triangulation *t, const struct rn_frame *f
     return low < t->count && t->looks[low].frame == frame ? &t->looks[low] : NULL;
 }
 
+static void take_colours(struct look *look, const struct rn_image *image) {
+    double times = fmax(1, fmax(image->width, image->height) / (double)COLOURS);
+    struct rn_error ignored;
+    if (rn_image_downscale(image, (int)fmax(1, round(image->width / times)),
+                           (int)fmax(1, round(image->height / times)), RN_DOWNSCALE_STRAIGHT,
+                           &look->colours, &ignored))
+        look->colours.pixels = NULL;
+}
+
 void rn_triangulation_look(struct rn_triangulation *t, const struct rn_frame *frame,
                            const struct rn_image *image) {
     struct look *look = t ? look_of(t, frame) : NULL;
@@ -204,6 +222,8 @@ void rn_triangulation_look(struct rn_triangulation *t, const struct rn_frame *fr
     look->camera.width = width * cell; // what is cut off lies at the right and at the bottom
     look->camera.height = height * cell;
     look->camera = rn_camera_resized(&look->camera, width, height);
+    take_colours(look, image);
+    if (look->withheld) return;
     find_corners(look, t->most);
     for (int i = 0; i < look->count; i++) {
         struct corner *corner = &look->corners[i];
@@ -325,34 +345,35 @@ static bool is_kept(const struct rn_triangulation *t, const struct rn_nearest *k
     return false;
 }
 
-// The photographs nearest to one that look the same way, each from a place of its own; their
-// number.
-static int find_neighbours(const struct rn_triangulation *t, const struct look *look,
-                           const struct look *ret[NEIGHBOURS]) {
-    struct rn_nearest nearest = {.most = 2 * NEIGHBOURS};
+// The photographs nearest to one that look the same way, each from a place of its own, withheld or
+// not, `most` at most; their number.
+static int find_neighbours(const struct rn_triangulation *t, const struct look *look, bool withheld,
+                           int most, const struct look **ret) {
+    struct rn_nearest nearest = {.most = 2 * most};
     int count = 0;
     for (size_t i = 0; i < t->count; i++) {
         const struct look *other = &t->looks[i];
         double along = 0;
-        if (!other->grey || other == look) continue;
+        if (!other->grey || other == look || other->withheld != withheld) continue;
         for (int k = 0; k < 3; k++)
             along += look->camera.world_from_camera[k][2] * other->camera.world_from_camera[k][2];
         double away = apart(look, other);
         if (along >= ALONG && !is_kept(t, &nearest, other, BESIDE * away))
             rn_nearest_offer(&nearest, away, i);
     }
-    for (int i = 0; i < nearest.count && count < NEIGHBOURS; i++)
+    for (int i = 0; i < nearest.count && count < most; i++)
         if (nearest.apart[i] > TOO_NEAR * nearest.apart[nearest.count - 1])
             ret[count++] = &t->looks[nearest.which[i]];
     return count;
 }
 
-// The point of a corner, and where it was seen. False where there is none, or infinitely far.
+// The point of a corner, and where it was seen: placed by `count` others, looked for in
+// `witnesses` more behind these. False where there is none, or infinitely far.
 static bool place_corner(const struct look *look, const struct corner *corner,
-                         const struct look *const *others, int count, float *scores,
+                         const struct look *const *others, int count, int witnesses, float *scores,
                          struct found *ret) {
     static const double right[2] = {1, 0}, down[2] = {0, 1};
-    struct neighbour neighbours[NEIGHBOURS];
+    struct neighbour neighbours[NEIGHBOURS + WITNESSES];
     struct rn_grey_picture picture = picture_of(look);
     struct rn_patch patch;
     double at[2] = {(double)corner->x, (double)corner->y};
@@ -360,7 +381,7 @@ static bool place_corner(const struct look *look, const struct corner *corner,
     if (!(ray.radius > 0) || !rn_patch_take(&picture, at, right, down, &patch) ||
         !rn_patch_normalise(&patch))
         return false;
-    for (int n = 0; n < count; n++)
+    for (int n = 0; n < count + witnesses; n++)
         prepare(look, corner, others[n], &neighbours[n]);
     double near = apart(look, others[0]), far = apart(look, others[count - 1]);
     double most = 1 / (NEAREST * near); // a step moves what the farthest sees by a pixel
@@ -371,7 +392,7 @@ static bool place_corner(const struct look *look, const struct corner *corner,
     memcpy(ret->point.colour, corner->colour, sizeof corner->colour);
     for (int i = 0; i < 3; i++)
         ret->point.position[i] = ray.origin[i] + ray.direction[i] / nearness;
-    for (int n = -1; n < count; n++) {
+    for (int n = -1; n < count + witnesses; n++) {
         const struct look *by = n < 0 ? look : others[n];
         if (n >= 0 && !(correlate(&neighbours[n], &patch, nearness, at) >= SEEN)) continue;
         ret->sightings[ret->count++] =
@@ -384,9 +405,11 @@ static bool place_corner(const struct look *look, const struct corner *corner,
 
 static enum rn_status place_corners(void *context, size_t index, struct rn_error *err) {
     struct rn_triangulation *t = context;
-    const struct look *look = &t->looks[index], *others[NEIGHBOURS];
-    int count = look->grey && look->corners ? find_neighbours(t, look, others) : 0;
+    const struct look *look = &t->looks[index], *others[NEIGHBOURS + WITNESSES];
+    if (!look->grey || !look->corners) return RN_OK;
+    int count = find_neighbours(t, look, false, NEIGHBOURS, others);
     if (count < AGREE) return RN_OK;
+    int witnesses = find_neighbours(t, look, true, WITNESSES, others + count);
     float *scores = malloc(STEPS * sizeof *scores);
     struct found *found = t->found[index] = malloc(((size_t)look->count + 1) * sizeof *found);
     if (!scores || !found) {
@@ -394,7 +417,7 @@ static enum rn_status place_corners(void *context, size_t index, struct rn_error
         return rn_error_set(err, RN_ERROR_NO_MEMORY, t->name, "out of memory");
     }
     for (int i = 0; i < look->count; i++)
-        if (place_corner(look, &look->corners[i], others, count, scores,
+        if (place_corner(look, &look->corners[i], others, count, witnesses, scores,
                          &found[t->found_count[index]]))
             t->found_count[index]++;
     free(scores);
@@ -420,7 +443,7 @@ static enum rn_status take_found(const struct rn_triangulation *t, size_t count,
     struct rn_point *items = realloc(points->items, (points->count + count) * sizeof *items);
     if (items) points->items = items;
     struct rn_sighting *sightings =
-        realloc(points->sightings, count * (1 + NEIGHBOURS) * sizeof *sightings);
+        realloc(points->sightings, count * (1 + NEIGHBOURS + WITNESSES) * sizeof *sightings);
     if (sightings) points->sightings = sightings;
     if (!items || !sightings)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, t->name, "out of memory");
@@ -448,4 +471,10 @@ enum rn_status rn_triangulation_solve(struct rn_triangulation *t, int threads,
     for (size_t i = 0; i < t->count; i++)
         *ret_count += t->found_count[i];
     return status ? status : take_found(t, *ret_count, &dataset->points, err);
+}
+
+void rn_triangulation_show(const struct rn_triangulation *t, struct rn_exposures *exposures) {
+    for (size_t i = 0; t && i < t->count; i++)
+        if (t->looks[i].colours.pixels)
+            rn_exposures_look(exposures, t->looks[i].frame, &t->looks[i].colours);
 }

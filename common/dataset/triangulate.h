@@ -5,19 +5,20 @@
 #define RN_COMMON_DATASET_TRIANGULATE_H
 
 #include "common/dataset/dataset.h"
+#include "common/dataset/exposure.h"
 
 // Photographs beyond it are passed over, evenly.
 #define RN_TRIANGULATE_PHOTOS 1000
 
-// Small grey copies of photographs, up to 360 KB each, and their corners. Owner: the caller;
-// rn_triangulation_destroy.
+// Small copies of photographs, grey ones and smaller ones in colour, and their corners. Owner: the
+// caller; rn_triangulation_destroy.
 struct rn_triangulation;
 
-// For the training views of `dataset`, which must outlive it, at full size; numbers the
-// photographs anew (struct rn_frame's `photo`). *ret_triangulation is NULL where it is not called
-// for: a dataset has sightings, objects are cut out by alpha, or all cameras look one way
-// between depths that are known.
-// `test_every` as in struct rn_import_options: these views test, and are left out.
+// For the views of `dataset`, which must outlive it, at full size; numbers the photographs anew
+// (struct rn_frame's `photo`). *ret_triangulation is NULL where it is not called for: a dataset has
+// sightings, objects are cut out by alpha, or all cameras look one way between depths that are
+// known. `test_every` as in struct rn_import_options. Views that are not trained on say nothing of
+// where points are and of what colour: what was found without them is looked for in them.
 // RN_ERROR_NO_MEMORY.
 enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_every,
                                        struct rn_triangulation **ret_triangulation,
@@ -38,5 +39,10 @@ enum rn_status rn_triangulation_solve(struct rn_triangulation *triangulation, in
                                       bool (*progress)(void *context, size_t done, size_t total),
                                       void *context, size_t *ret_count,
                                       struct rn_error *err) RN_MUST_CHECK;
+
+// The colours of each photograph that was looked at, to what was made of its dataset since
+// (rn_exposures_create). NULL-safe, both.
+void rn_triangulation_show(const struct rn_triangulation *triangulation,
+                           struct rn_exposures *exposures);
 
 #endif

@@ -38,8 +38,8 @@ UP, DOWN = "fbase={up}", "fbase={down}"
 STUDIES = {
     "planes": {"10 planes, rip": [], "10 planes, mip": ["footprint=mip"], "6 planes, rip": ["planes=6"],
                "4 planes, rip": ["planes=4"], "3 planes, rip": ["planes=3"]},
-    "sizes": {"10 planes of 512": [], "6 planes of 661": ["planes=6", "base=661"],
-              "4 planes of 810": ["planes=4", "base=810"], "3 planes of 935": ["planes=3", "base=935"]},
+    "sizes": {"10 planes of 512": [], "6 planes of 661": ["planes=6", "base={of_661}"],
+              "4 planes of 810": ["planes=4", "base={of_810}"], "3 planes of 935": ["planes=3", "base={of_935}"]},
     "ripmap": {"rip": [], "mip": ["footprint=mip"], "mip, mean level": ["footprint=mip", "mean_level=true"],
                "rip, half a level up": [UP], "rip, half a level down": [DOWN],
                "mip, half a level up": ["footprint=mip", UP], "mip, half a level down": ["footprint=mip", DOWN], "point": ["footprint=point"]},
@@ -58,9 +58,10 @@ QUICK = ["preset=standard", "cone=false", "supersample=false", "finest=false", "
 
 
 def of_base(arm, options):
-    """An arm's options, where footprints go by the base grid that the further options ask for."""
+    """An arm's options, where footprints and grids go by the base grid that the further options ask for."""
     base = next((int(option[5:]) for option in options if option.startswith("base=")), 512)
-    return [option.format(up=round(base * 2 ** 0.5), down=round(base / 2 ** 0.5)) for option in arm]
+    sizes = {f"of_{size}": round(size * base / 512) for size in (661, 810, 935)}
+    return [option.format(up=round(base * 2 ** 0.5), down=round(base / 2 ** 0.5), **sizes) for option in arm]
 
 
 def build_name(quality):
@@ -85,7 +86,7 @@ def train(given, arm, seed, deadline):
     """What quality printed of an arm with a seed: now, or before. None: not finished by the deadline."""
     quality = given.build / "tests/bench/quality"
     options = [*(QUICK if given.quick else PAPER), f"steps={given.steps}", f"samples={given.samples}", f"test={given.test}",
-               "cones=own", "every=0", *arm, *given.options, f"seed={seed}"]
+               "cones=own", "every=0", *given.options, *arm, f"seed={seed}"]
     name = hashlib.sha256(json.dumps([build_name(quality), str(given.dataset), options]).encode())
     kept = given.work / f"{name.hexdigest()[:16]}.txt"
     dataset = unweighted(given.dataset, given.work) if UNWEIGHTED in options else given.dataset

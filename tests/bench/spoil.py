@@ -8,7 +8,7 @@
     spoil.py poses DATASET OUT [--turn 0.5] [--shift 0.005] [--seed 1]
     spoil.py moves OUT CHECKPOINT
 
-`exposures` copies a capture (images and sparse/) with each photograph lightened or darkened in linear
+`exposures` copies a capture (images/ and what lies beside it) with each photograph lightened or darkened in linear
 light by up to that many stops either way and each channel tinted by up to that share, and stray light of
 up to `veil` of white added to each; `gains` compares what an import of it measured, beside what one of the
 capture as it was (BEFORE) did. `colours` fits a gain a channel, and a gain and an offset, to half of what
@@ -42,7 +42,7 @@ def stored(light):
 
 def exposures(options):
     random = np.random.default_rng(options.seed)
-    shutil.copytree(options.capture / "sparse", options.out / "sparse")
+    shutil.copytree(options.capture, options.out, ignore=shutil.ignore_patterns("images*"))
     (options.out / "images").mkdir()
     truth = {}
     for path in sorted((options.capture / "images").iterdir()):

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "common/dataset/calls.h"
+#include "common/dataset/reader.h"
 #include "common/dataset/survey.h"
 #include "common/dataset/triangulate.h"
 #include "tests/unit/common/dataset_fixture.h"
@@ -132,21 +133,116 @@ START_TEST(they_are_the_same_for_any_number_of_threads) {
 }
 END_TEST
 
-// Those withheld for tests are not looked at.
-START_TEST(photographs_that_are_trained_on_see_them) {
-    bool sees[64] = {0};
-    read_place();
-    for (size_t i = 0; i < dataset->frame_count; i++) { // as of a capture without splits
+// The place as a capture without splits, every fourth of which tests.
+static void keep_split(const char *name) {
+    for (size_t i = 0; i < dataset->frame_count; i++) {
         dataset->frames[i].split = RN_SPLIT_TRAIN;
         dataset->frames[i].index = (int)i;
     }
     dataset->view_count[RN_SPLIT_TEST] = 0;
-    keep("kept", 4, 4);
-    for (size_t i = 0; i < kept->points.sighting_count; i++)
-        sees[kept->points.sightings[i].photo] = true;
+    keep(name, 4, 4);
     ck_assert_int_gt(kept->view_count[RN_SPLIT_TEST], 8);
-    for (size_t i = 0; i < kept->frame_count; i++)
-        ck_assert_int_eq(sees[kept->frames[i].photo], kept->frames[i].split == RN_SPLIT_TRAIN);
+}
+
+static enum rn_split split_of(const struct rn_sighting *sighting) {
+    return frame_of(sighting)->split;
+}
+
+static size_t sightings_in(enum rn_split split) {
+    size_t count = 0;
+    for (size_t i = 0; i < kept->points.sighting_count; i++)
+        count += split_of(&kept->points.sightings[i]) == split;
+    return count;
+}
+
+START_TEST(photographs_that_are_withheld_see_them) {
+    read_place();
+    keep_split("kept");
+    size_t seen = 0;
+    for (size_t f = 0; f < kept->frame_count; f++) {
+        size_t count = 0;
+        for (size_t i = 0; i < kept->points.sighting_count; i++)
+            count += (size_t)kept->frames[f].photo == kept->points.sightings[i].photo;
+        if (kept->frames[f].split == RN_SPLIT_TEST) seen += count >= 30;
+    }
+    ck_assert_uint_ge(10 * seen, 9 * (size_t)kept->view_count[RN_SPLIT_TEST]);
+    ck_assert_double_gt(right_share("place"), 0.96);
+}
+END_TEST
+
+// What those withheld show moves no point, nor is one found or seen elsewhere by it.
+START_TEST(photographs_that_are_withheld_say_nothing_of_where_they_are) {
+    read_place();
+    keep_split("kept");
+    struct rn_points before = kept->points;
+    size_t trained = sightings_in(RN_SPLIT_TRAIN);
+    kept->points = (struct rn_points){0};
+    read_place();
+    for (size_t i = 0; i < dataset->frame_count; i += 4) { // another picture in their place
+        free(dataset->frames[i].path);
+        dataset->frames[i].path = strdup(dataset->frames[1].path);
+    }
+    keep_split("others");
+    ck_assert_uint_eq(kept->points.count, before.count);
+    for (size_t i = 0; i < before.count; i++) {
+        ck_assert_mem_eq(kept->points.items[i].position, before.items[i].position,
+                         sizeof before.items[i].position);
+        ck_assert_mem_eq(kept->points.items[i].colour, before.items[i].colour, 3);
+    }
+    ck_assert_uint_eq(sightings_in(RN_SPLIT_TRAIN), trained);
+    ck_assert_uint_lt(10 * sightings_in(RN_SPLIT_TEST), before.sighting_count - trained);
+    free(before.items);
+    free(before.sightings);
+}
+END_TEST
+
+// Mean logarithm, over what neither cuts, of how much brighter a photograph is than another.
+static double brighter(const struct rn_frame *frame, const struct rn_frame *than) {
+    struct rn_image images[2];
+    double sum = 0;
+    size_t count = 0;
+    ck_assert_int_eq(rn_frame_decode(frame, NULL, &images[0], &err), RN_OK);
+    ck_assert_int_eq(rn_frame_decode(than, NULL, &images[1], &err), RN_OK);
+    for (size_t i = 0; i < 4 * (size_t)images[0].width * (size_t)images[0].height; i += 4) {
+        uint8_t a = images[0].pixels[i + 1], b = images[1].pixels[i + 1];
+        if (a < 30 || b < 30 || a > 240 || b > 240) continue;
+        sum += log((double)a / b);
+        count++;
+    }
+    rn_image_finish(&images[0]);
+    rn_image_finish(&images[1]);
+    return sum / (double)count;
+}
+
+// By what the points look like in each, also in those withheld.
+START_TEST(they_say_how_bright_photographs_are) {
+    struct rn_synth_options unlike = place;
+    double known[64], found[64], known_mean = 0, found_mean = 0, spread = 0, error = 0;
+    size_t count = 0;
+    unlike.exposure = 0.7;
+    take_others("place", &unlike);
+    keep("kept", 0, 4);
+    read_place(); // as it is
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        ck_assert_str_eq(dataset->frames[i].name, kept->frames[i].name);
+        if (!(kept->frames[i].gain[0] > 0)) continue;
+        known[count] = brighter(&kept->frames[i], &dataset->frames[i]);
+        found[count] = log(kept->frames[i].gain[1]);
+        known_mean += known[count];
+        found_mean += found[count];
+        count++;
+    }
+    ck_assert_uint_ge(10 * count, 9 * dataset->frame_count);
+    for (size_t i = 0; i < count; i++) {
+        double is = known[i] - known_mean / (double)count;
+        double off = found[i] - found_mean / (double)count - is;
+        spread += is * is / (double)count;
+        error += off * off / (double)count;
+        ck_assert_double_lt(fabs(off), 0.09);
+    }
+    ck_assert_double_gt(sqrt(spread), 0.1);
+    ck_assert_double_lt(sqrt(error), 0.04);
+    ck_assert_double_gt(rn_exposure_unrest(kept->frames, kept->frame_count), RN_EXPOSURE_UNREST);
 }
 END_TEST
 
@@ -360,7 +456,9 @@ int main(void) {
     tcase_add_checked_fixture(c, setup, finish);
     tcase_add_loop_test(c, points_lie_where_the_place_is, 0, 2);
     tcase_add_test(c, they_are_the_same_for_any_number_of_threads);
-    tcase_add_test(c, photographs_that_are_trained_on_see_them);
+    tcase_add_test(c, photographs_that_are_withheld_see_them);
+    tcase_add_test(c, photographs_that_are_withheld_say_nothing_of_where_they_are);
+    tcase_add_test(c, they_say_how_bright_photographs_are);
     tcase_add_test(c, none_are_looked_for_where_they_say_nothing);
     tcase_add_loop_test(c, photographs_that_look_one_way_have_depths, 0, 2);
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
