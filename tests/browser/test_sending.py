@@ -145,6 +145,15 @@ def test_what_cannot_be_read_is_told_before_it_is_sent(page, fake, folder):
         "detail": "transforms_train.json#/frames/3/transform_matrix: is no rotation", "errors": []}
     choose(page, api, folder)
     page.says("transforms_train.json#/frames/3/transform_matrix: is no rotation", ".preview .problem")
+    page.says("An import would be refused", ".sending")
+    submit = next(e for e in page.all(".sending button") if e.text == "Upload and import")
+    assert not submit.is_enabled()
+    del api.world.fails["validate"]  # with other options it is read
+    page.press("Import options")
+    page.type(page.field("Test: every N-th view"), "2\t")
+    page.says("3 test", ".preview .facts")
+    page.until(submit.is_enabled, "the button again")
+    assert "refused" not in page.text(".sending")
     page.press("Back")
     page.find(".drop")
     page.until(lambda: not api.world.uploads, "what was looked at to be given up")

@@ -54,6 +54,9 @@ function thumbnail(item, files) {
           h('figcaption', null, item.file.split('/').at(-1)));
 }
 
+/** Whether a job ended by what it was given, not by what befell it. */
+const isRefusal = (problem) => problem?.status >= 400 && problem.status < 500;
+
 const swatch = (split) =>
     h('span', {class: 'split-mark', 'aria-hidden': 'true', 'data-split': split});
 
@@ -139,12 +142,13 @@ function found(validation, files, {take, isWhole, signal}) {
 /**
  * @param {{entries: {path: string, file: File}[], bytes: number, poses?: string}} plan not looked at: a film
  * @param {{values: () => any, take: (choice: any) => void, looks: Promise<{path: string, file:
- *     Blob}[]>, node: HTMLElement, onFault: (error: Error|null) => void}} options of the import, a
- *     change of which is looked at anew, and small pictures of the photographs, when there are
+ *     Blob}[]>, node: HTMLElement, onFault: (error: Error|null) => void, onRefused: (isRefused:
+ *     boolean) => void}} options of the import, a change of which is looked at anew, and small pictures
+ *     of the photographs, when there are; onRefused: what an import of the same options would be
  * @param {AbortSignal} signal
  * @returns {{node: HTMLElement}} empty where there is nothing to read before
  */
-export function createPreview(plan, {values, take, looks, node: form, onFault}, signal) {
+export function createPreview(plan, {values, take, looks, node: form, onFault, onRefused}, signal) {
   const node = h('div', {class: 'preview', role: 'status'});
   const files = new Map(plan.entries.map(({path, file}) => [path, file]));
   const most = Math.max(MOST, plan.bytes / 4);
@@ -161,6 +165,7 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
       const options = {...poses, ...values()};
       const job = putJob(await api.submit({type: 'validate', upload, options}));
       onFault(null);
+      onRefused(false);
       asked = job.id;
     } catch (error) {
       if (!signal.aborted) onFault(error);
@@ -197,6 +202,7 @@ export function createPreview(plan, {values, take, looks, node: form, onFault}, 
     if (key === shown) return;
     shown = key;
     if (isActive(job)) return bar.set(null, 'reading documents and image headers');
+    onRefused(isRefusal(job.problem));
     if (job.result)
       return fill(
           node,

@@ -1,6 +1,6 @@
 // The form around what is sent in: what it says of it, its fields, and buttons that give way to a
 // meter and Cancel while it is on its way.
-import {fill, h} from '../dom.js';
+import {fill, h, text} from '../dom.js';
 import {meter, showFaults, toast} from '../ui.js';
 
 /**
@@ -14,6 +14,7 @@ export function sendForm({words, fields, back, isReady = () => true, send}, abov
   const problem = h('div');
   const progress = h('div');
   const buttons = h('div', {class: 'row end'});
+  const refusal = h('p', {class: 'quiet', role: 'status'});
   const showFault = (error) => showFaults(fields, problem, error);
   async function begin() {
     const stop = new AbortController();
@@ -30,10 +31,15 @@ export function sendForm({words, fields, back, isReady = () => true, send}, abov
       ready();
     }
   }
-  const ready = () => fill(
-      buttons, h('button', {type: 'button', onclick: back}, 'Back'),
-      h('button', {type: 'submit', class: 'primary'}, words));
+  const submit = h('button', {type: 'submit', class: 'primary'}, words);
+  const ready = () =>
+      fill(buttons, h('button', {type: 'button', onclick: back}, 'Back'), submit);
   ready();
+  /** Nothing is sent that would be for nothing; `why`: in words, '': it may be sent. */
+  const refuse = (why) => {
+    submit.disabled = Boolean(why);
+    text(refusal, why);
+  };
   const node = h(
       'form', {
         onsubmit: (event) => {
@@ -41,6 +47,6 @@ export function sendForm({words, fields, back, isReady = () => true, send}, abov
           if (isReady()) begin();
         }
       },
-      h('div', {class: 'sending'}, above, problem, progress, buttons), below);
-  return {node, showFault};
+      h('div', {class: 'sending'}, above, problem, progress, refusal, buttons), below);
+  return {node, showFault, refuse};
 }

@@ -173,6 +173,9 @@ function importOptions() {
   return {node, values, take, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
 }
 
+const REFUSED = 'An import would be refused for what is told of the dataset here. It can be sent with ' +
+    'other options, or chosen again once it is mended.';
+
 function planForm(plan, {back, follow, signal}) {
   const name = nameField(plan.name);
   const options = importOptions();
@@ -182,7 +185,12 @@ function planForm(plan, {back, follow, signal}) {
   const stopLooking = () => looking.abort();
   signal.addEventListener('abort', stopLooking, {once: true});
   const preview = createPreview(
-      plan, {...options, looks: bad.looks, onFault: (error) => form.showFault(error)},
+      plan, {
+        ...options,
+        looks: bad.looks,
+        onFault: (error) => form.showFault(error),
+        onRefused: (isRefused) => form.refuse(isRefused ? REFUSED : '')
+      },
       looking.signal);
   async function send(bar, stop, cancel) {
     const entries = plan.entries.filter(({path}) => !bad.leftOut().has(path));
