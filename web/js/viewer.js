@@ -1,17 +1,19 @@
 // Keeps a canvas showing a scene: coarse while the camera moves, refined when it rests. The next
-// picture is asked for, with the newest camera, when the daemon should be done with the one before:
-// it is rendered while that is on its way, decoded and drawn.
+// picture is asked for, with the newest camera, once the one before is drawn: a daemon that is near
+// often has the cores that the browser draws with. From afar it is asked for when the daemon should be
+// done with the one before, and rendered while that is on its way.
 import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
 import {opticsOfPicture} from './optics.js';
 
 const STILL_MS = 80;  // from the last input to a finer picture, which the next one gives up
-const COARSE_MS = 52;       // from an input to the answer with its coarse picture, nearly always
+const COARSE_MS = 42;       // from an input to the answer with its coarse picture, nearly always
 const LEAST_MS = 12;        // of it in rendering, however long its way is;
 const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
 const MOST_MS = 60;         // up to so much
 const LATE_MS = 1;          // that a movement is after its time
 const MOST_AHEAD = 2;       // coarse pictures that are not answered yet
+const FAR_MS = 20;          // on its way, of a coarse picture, from which on the daemon is far
 const HALF_FIRST_MS = 500;  // a full picture that takes longer is preceded by one of half the size
 const LENS_MS = 2500;       // a picture through a wide lens: as many cones as there is time for
 const REFRESH_MS = 2000;    // while training; renders take at most about an eighth of the time
@@ -20,6 +22,7 @@ const EARLY_STEPS = 300;  // a fog before the first of them, whose full picture 
 const [COARSE, HALF, FULL] = [0, 1, 2];
 const HALF_TOLERANCE = 0.03;
 const SHARP = 640 * 480;  // pixels of a coarse picture, at most
+const LEAST = 60 * 60;    // and at least
 
 const even = (x) => Math.max(8, 2 * Math.round(x / 2));
 
@@ -33,17 +36,16 @@ export function sizeFor(full, pixels) {
 }
 
 /**
- * Size and tolerance of a coarse picture that takes as long as `effort` pixels of tolerance 0.25 do.
- * Where most pixels can be interpolated, many of them with a wide tolerance are nearer to the full
- * picture than few exact ones in the same time (tests/bench/page.md).
+ * Size and tolerance of a coarse picture for so much effort, in pixels of tolerance 0.12. Of equally
+ * quick pictures the nearest to the full one are of about that tolerance, whatever their size
+ * (tests/bench/page.md).
  * @param {{width: number, height: number}} full @param {number} effort
  */
 export function coarseOf(full, effort) {
   const most = Math.min(SHARP, full.width * full.height);
-  if (effort < 0.9 * most) return {...sizeFor(full, 0.47 * effort), tolerance: 0.12};
   return {
-    ...sizeFor(full, most),
-    tolerance: Number(Math.max(0.03, 0.25 * (most / effort) ** 1.4).toFixed(3))
+    ...sizeFor(full, Math.min(most, effort)),
+    tolerance: Number(Math.max(0.03, 0.12 * Math.min(1, most / effort) ** 2).toFixed(3))
   };
 }
 
@@ -61,7 +63,7 @@ export function nextEffort(effort, totalMs, renderMs) {
   const room =
       Math.max(LEAST_MS, (COARSE_MS - way) / 2, Math.min(MOST_MS, WAY_SHARE * way));
   const change = Math.min(1.4, Math.max(0.5, room / rendering) ** 0.6);
-  return Math.min(4 * SHARP, Math.max(160 * 48, effort * change));
+  return Math.min(2 * SHARP, Math.max(LEAST, effort * change));
 }
 
 /**
@@ -88,10 +90,11 @@ export function createViewer(canvas, host, signal) {
   const flights = new Set();
   let movedAt = 0;
   let apartMs = 0;  // movements of a drag, about
-  let effort = 200 * 150;
+  let effort = 120 * 120;
   let msPerPixel = 0;
   let fullMsPerPixel = 0;
   let daemonMs = Infinity;  // what the last coarse picture took there; before one, no other is sent
+  let wayMs = 0;  // of a coarse picture's time, not the daemon's
   let lastStep = NaN;  // of the picture that came last
   let waitUntil = 0;
   let refreshAt = Infinity;
@@ -137,6 +140,7 @@ export function createViewer(canvas, host, signal) {
     const last = [...flights].at(-1);
     if (last && (last.level > COARSE || last.version === version)) return;
     const now = performance.now();
+    if (last && wayMs < FAR_MS) return;
     if (last && !last.answered) {
       if ([...flights].filter((flight) => !flight.answered).length === MOST_AHEAD) return;
       const left = last.sentAt + daemonMs - now;
@@ -228,7 +232,7 @@ export function createViewer(canvas, host, signal) {
       if (!flight.stop.signal.aborted) trouble(error);
     } finally {
       flights.delete(flight);
-      if (!signal.aborted) poke(0);
+      if (!signal.aborted) pump();
     }
   }
 
@@ -241,6 +245,7 @@ export function createViewer(canvas, host, signal) {
       effort = nextEffort(effort, facts.totalMs, facts.renderMs);
       const there = facts.queueMs + facts.renderMs + facts.encodeMs;
       daemonMs = Number.isFinite(there) ? there : Infinity;
+      if (there < facts.totalMs) wayMs += (facts.totalMs - there - wayMs) / 4;
     }
     if (level !== FULL && lastStep !== 0) return;
     const wait = facts.step < EARLY_STEPS ? EARLY_MS : REFRESH_MS;
