@@ -79,6 +79,13 @@ enum rn_status rn_image_decode(const void *bytes, size_t size_bytes, const char 
 enum rn_status rn_image_read_smaller(const char *path, const struct rn_image_limits *limits,
                                      int most, struct rn_image *ret_image, int *ret_times,
                                      struct rn_error *err) RN_MUST_CHECK;
+// By how much, of at most `most`, JPEGs are: the library's reduced inverse DCTs are means of a
+// whole one's pixels, where blocks are whole.
+static inline int rn_image_times_smaller(int width, int height, int most) {
+    for (int times = 8; times > 1; times /= 2)
+        if (most % times == 0 && width % times == 0 && height % times == 0) return times;
+    return 1;
+}
 // The file without what is not the picture: EXIF (who took it, when and where), profiles, comments.
 // It decodes to the same pixels. Of a JPEG in sRGB; RN_ERROR_UNSUPPORTED for any other file. An
 // orientation is lost. *ret_bytes is malloc'd.

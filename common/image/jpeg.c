@@ -154,15 +154,6 @@ static bool lost_pixels(tjhandle handle) {
            !strstr(tjGetErrorStr2(handle), "extraneous bytes");
 }
 
-// By how much, of at most `most`, the library makes the picture smaller: its reduced inverse DCTs
-// are means of a whole one's pixels, where blocks are whole.
-static int times_smaller(const struct rn_image_info *info, int most) {
-    for (int times = 8; times > 1; times /= 2)
-        if (most % times == 0 && info->width % times == 0 && info->height % times == 0)
-            return times;
-    return 1;
-}
-
 static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_bytes,
                              const char *where, const struct rn_image_limits *limits, int most,
                              struct rn_image *ret_image, int *ret_times, struct rn_error *err) {
@@ -171,7 +162,7 @@ static enum rn_status decode(tjhandle handle, const uint8_t *bytes, size_t size_
     if (status == RN_OK) status = rn_image_check_size(info.width, info.height, limits, where, err);
     if (status != RN_OK) return status;
     struct rn_image image;
-    int times = times_smaller(&info, most);
+    int times = rn_image_times_smaller(info.width, info.height, most);
     status = rn_image_init(info.width / times, info.height / times, &image, err);
     if (status != RN_OK) return status;
     image.has_alpha = false;

@@ -1,6 +1,7 @@
 // ripnerf-runner: the process that owns one scene, does one import or describes the device.
 // Started by ripnerfd, which holds the other end of the socket.
 #include <getopt.h>
+#include <malloc.h>
 #include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -242,6 +243,9 @@ static bool run_here(const struct command *c, int *ret_code) {
 int main(int argc, char **argv) {
     struct command command = {.mode = "", .fd = -1, .bench = {.seconds = 5}};
     int code;
+    // What is given back is the system's at once: else blocks of a field whose planes have grown,
+    // and of photographs that were decoded, leave gaps that a larger one does not fit.
+    mallopt(M_MMAP_THRESHOLD, 1 << 20);
     bool sound = parse(argc, argv, &command);
     if (command.version) {
         puts("ripnerf-runner " RIPNERF_VERSION);

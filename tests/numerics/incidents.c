@@ -276,8 +276,9 @@ static int check_cells(struct rn_engine *engine, const struct rn_dataset *datase
             rn_trainer_update_occupancy(t);
         }
         double wild = 0;
+        size_t word = 0;
         for (size_t i = 0; i < t->hull.count; i++)
-            wild += !isfinite(t->field->occupancy[t->hull.list[i]]);
+            wild += !isfinite(t->field->occupancy[rn_hull_cell(t, i, &word)]);
         numerics_see(&c, wild, "%s", saved ? "saved" : "refreshed");
         rn_trainer_destroy(&t);
     }

@@ -143,9 +143,9 @@ int run_on_scene(const char *name, void (*add)(TCase *tests)) {
 
 bool is_live(const struct rn_trainer *t, int frame, int x, int y) {
     for (size_t i = 0; i < t->sampler.live_count; i++) {
-        const struct rn_live_block *b = &t->sampler.live[i];
-        if (b->frame == (uint32_t)frame && x >= b->x && x < b->x + RN_LIVE_BLOCK && y >= b->y &&
-            y < b->y + RN_LIVE_BLOCK)
+        struct rn_live_block b = rn_trainer_live(t, i);
+        if (b.frame == frame && x >= b.x && x < b.x + RN_LIVE_BLOCK && y >= b.y &&
+            y < b.y + RN_LIVE_BLOCK)
             return true;
     }
     return false;

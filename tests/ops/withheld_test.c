@@ -83,7 +83,7 @@ static struct rn_dataset without_splits(void) {
 
 static bool draws_from_withheld(const struct rn_trainer *t) {
     for (size_t i = 0; i < t->sampler.live_count; i++)
-        if (t->train.frames[t->sampler.live[i].frame].frame->index % 8 == 7) return true;
+        if (t->train.frames[rn_trainer_live(t, i).frame].frame->index % 8 == 7) return true;
     return false;
 }
 

@@ -361,10 +361,11 @@ static void describe_training(struct rn_device_field *f, const struct rn_device_
 static cudaError_t upload_shares(struct rn_device_field *f, const struct rn_shares *shares) {
     const struct rn_backend_device *d = f->device;
     const struct rn_shares *to = &f->source.pixels.shares;
-    size_t blocks = (size_t)f->source.pixels.live_count;
+    size_t blocks = (size_t)f->source.pixels.live_count,
+           places = rn_share_place(f->source.pixels.scale_count, blocks) + 1;
     cudaError_t e = copy_in(d, (void *)to->share, shares->share, blocks * sizeof *shares->share);
-    if (!e) e = copy_in(d, (void *)to->begin, shares->begin, blocks * sizeof *shares->begin);
-    return e ? e : copy_in(d, (void *)to->guide, shares->guide, blocks * sizeof *shares->guide);
+    if (!e) e = copy_in(d, (void *)to->sum, shares->sum, places * sizeof *shares->sum);
+    return e ? e : copy_in(d, (void *)to->guide, shares->guide, places * sizeof *shares->guide);
 }
 
 static cudaError_t upload_training(struct rn_device_field *f, const struct rn_device_pixels *p,

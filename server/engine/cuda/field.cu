@@ -105,8 +105,9 @@ static void lay_out_pixels(struct rn_device_field *f, const struct rn_device_pix
     if (!p->shares.share) return;
     size_t blocks = (size_t)p->live_count, rays = (size_t)f->batch.ray_capacity;
     rn_part(a, (float **)&f->source.pixels.shares.share, blocks);
-    rn_part(a, (double **)&f->source.pixels.shares.begin, blocks);
-    rn_part(a, (uint32_t **)&f->source.pixels.shares.guide, blocks);
+    size_t places = rn_share_place(p->scale_count, blocks) + 1;
+    rn_part(a, (double **)&f->source.pixels.shares.sum, places);
+    rn_part(a, (uint32_t **)&f->source.pixels.shares.guide, places);
     rn_part(a, &f->batch.block_error, blocks);
     rn_part(a, &f->batch.block_ray, blocks);
     rn_part(a, &f->batch.ray_error, rays);

@@ -101,8 +101,9 @@ RN_DEVICE struct rn_cuda_place rn_draw_live(const struct rn_cuda_source *s, uint
     uint64_t first = p->live_first[from.scale], count = p->live_first[from.scale + 1] - first;
     if (count == 0) return out;
     struct rn_live_pixel pixel =
-        p->shares.share ? rn_shared_pixel(&p->shares, first, count, s->seed, from.turn, &out.weight)
-                        : rn_live_pixel(s->seed, from.turn, count);
+        p->shares.share
+            ? rn_shared_pixel(&p->shares, from.scale, first, count, s->seed, from.turn, &out.weight)
+            : rn_live_pixel(s->seed, from.turn, count);
     const struct rn_device_block *block = &p->live[first + pixel.block];
     out.x = block->x + pixel.x;
     out.y = block->y + pixel.y;

@@ -61,28 +61,48 @@ RN_HD float rn_block_error(float error, float loss) {
     return error < 0 ? loss : error + RN_IMPORTANCE_FRESH * (loss - error);
 }
 
-// Of blocks in lists, one after the other.
+#define RN_SHARE_RUN 16 // blocks of a run
+
+// Of blocks in lists, one after the other. What is kept of where a block's part of its list's
+// [0, 1) begins is the sum of the shares before each run of blocks; from there on it is summed up
+// in the same order.
 struct rn_shares {
     const float *share;    // how often a block is drawn, 1 = as often as the mean of its list
-    const double *begin;   // of a block's part of its list's [0, 1)
-    const uint32_t *guide; // of a list of n, the block at i / n
+    const double *sum;     // of the shares before a run; after a list's last one, of all
+    const uint32_t *guide; // of a list of n runs, the run at i / n
 };
+RN_HD uint64_t rn_share_runs(uint64_t count) {
+    return (count + RN_SHARE_RUN - 1) / RN_SHARE_RUN;
+}
+// Where list number `list`, whose first block is `first`, begins in `sum` and in `guide`. Of
+// `list` lists of `first` blocks in all: how many numbers both have.
+RN_HD uint64_t rn_share_place(int list, uint64_t first) {
+    return (first + (uint64_t)list * (2 * RN_SHARE_RUN - 1)) / RN_SHARE_RUN;
+}
 
-// The pixel of turn `turn` over the list [first, first + count), count > 0; *ret_weight is 1 /
-// share. Turns lie evenly over the list's [0, 1), so evenly over a block's part of it too: its
-// pixels take turns.
-RN_HD struct rn_live_pixel rn_shared_pixel(const struct rn_shares *shares, uint64_t first,
+// The pixel of turn `turn` over list number `list`, [first, first + count), count > 0; *ret_weight
+// is 1 / share. Turns lie evenly over the list's [0, 1), so evenly over a block's part of it too:
+// its pixels take turns.
+RN_HD struct rn_live_pixel rn_shared_pixel(const struct rn_shares *shares, int list, uint64_t first,
                                            uint64_t count, uint64_t seed, uint64_t turn,
                                            float *ret_weight) {
     double at = rn_golden_place(seed, turn);
-    const double *begin = shares->begin + first;
-    uint64_t block = shares->guide[first + (uint64_t)(at * (double)count)];
-    while (block + 1 < count && begin[block + 1] <= at)
-        block++;
-    double end = block + 1 < count ? begin[block + 1] : 1;
-    *ret_weight = 1 / shares->share[first + block];
-    return rn_pixel_of_block(block, (uint32_t)((at - begin[block]) / (end - begin[block]) *
-                                               (RN_LIVE_BLOCK * RN_LIVE_BLOCK)));
+    uint64_t place = rn_share_place(list, first), runs = rn_share_runs(count);
+    const double *sum = shares->sum + place;
+    const float *share = shares->share + first;
+    uint64_t run = shares->guide[place + (uint64_t)(at * (double)runs)];
+    while (run + 1 < runs && sum[run + 1] / sum[runs] <= at)
+        run++;
+    uint64_t block = run * RN_SHARE_RUN;
+    double from = sum[run], to = from + (double)share[block];
+    while (block + 1 < count && to / sum[runs] <= at) {
+        from = to;
+        to += (double)share[++block];
+    }
+    double begin = from / sum[runs], end = block + 1 < count ? to / sum[runs] : 1;
+    *ret_weight = 1 / share[block];
+    return rn_pixel_of_block(
+        block, (uint32_t)((at - begin) / (end - begin) * (RN_LIVE_BLOCK * RN_LIVE_BLOCK)));
 }
 
 #endif

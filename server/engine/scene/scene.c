@@ -22,13 +22,14 @@
 // What is in front of a block is the address to free. calloc leaves large ones untouched: the
 // kernel gives zeros when they are first used.
 void *rn_block_create(size_t bytes) {
-    size_t page = bytes > HUGE_PAGE ? HUGE_PAGE : PAGE, rounded = (bytes + page - 1) / page * page;
+    size_t page = bytes > HUGE_PAGE ? HUGE_PAGE : PAGE, rounded = (bytes + PAGE - 1) / PAGE * PAGE;
     char *whole = calloc(1, rounded + page + sizeof whole);
     if (!whole) return NULL;
     char *block = whole + sizeof whole;
     block += (page - (uintptr_t)block % page) % page;
     memcpy(block - sizeof whole, &whole, sizeof whole);
-    if (page == HUGE_PAGE) madvise(block, rounded, MADV_HUGEPAGE); // a hint: may be refused
+    // Whole ones alone, so that what lies behind the block takes no memory. A hint: may be refused.
+    if (page == HUGE_PAGE) madvise(block, bytes / HUGE_PAGE * HUGE_PAGE, MADV_HUGEPAGE);
     return block;
 }
 

@@ -70,10 +70,11 @@ static enum rn_status pack_pixels(const struct rn_trainer *t, struct packed_pixe
                                                   .before = from->before,
                                                   .loss_weight = (float)from->frame->loss_weight};
     }
-    for (size_t i = 0; i < t->sampler.live_count; i++)
-        ret->live[i] = (struct rn_device_block){.frame = t->sampler.live[i].frame,
-                                                .x = t->sampler.live[i].x,
-                                                .y = t->sampler.live[i].y};
+    for (size_t i = 0; i < t->sampler.live_count; i++) {
+        struct rn_live_block block = rn_trainer_live(t, i);
+        ret->live[i] = (struct rn_device_block){
+            .frame = (uint32_t)block.frame, .x = (uint16_t)block.x, .y = (uint16_t)block.y};
+    }
     pack_scales(t, &ret->pixels);
     ret->pixels.frames = ret->frames;
     ret->pixels.live = ret->live;

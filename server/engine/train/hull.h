@@ -9,15 +9,21 @@
 
 struct rn_trainer;
 
-// Owner: whoever has the trainer; `list` is freed, `seen` a block.
+#define RN_HULL_WORD 64 // cells
+
+// Owner: whoever has the trainer; `before` is freed, `seen` a block.
 struct rn_hull {
-    uint32_t *list; // cells that may hold matter
-    size_t count;
-    uint32_t *seen; // NULL, or what each cell showed since the last round, as bits of a float
+    uint32_t *before; // [cells^3 / RN_HULL_WORD]: of the cells that may hold matter, before a word
+    size_t count;     // of all of them
+    uint32_t *seen;   // NULL, or what each cell showed since the last round, as bits of a float
 };
 
-// occupancy.c
-enum rn_status rn_trainer_list_hull(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+// occupancy.c: counts the cells that may hold matter.
+enum rn_status rn_trainer_count_hull(struct rn_trainer *trainer,
+                                     struct rn_error *err) RN_MUST_CHECK;
+// Which cell is the i-th of them, i < count; from *word on, where a search before ended (0 at
+// first), it takes no longer than there is to pass.
+size_t rn_hull_cell(const struct rn_trainer *trainer, size_t i, size_t *word);
 void rn_trainer_carve(struct rn_trainer *trainer);            // by the photographs' alpha
 void rn_trainer_carve_unseen(struct rn_trainer *trainer);     // cells of unbounded space
 bool rn_trainer_update_occupancy(struct rn_trainer *trainer); // false: cut short, call again

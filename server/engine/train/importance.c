@@ -6,13 +6,20 @@
 
 #define AHEAD 16 // turns for which memory is asked ahead
 
-enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struct rn_error *err) {
+size_t rn_importance_bytes(size_t count, int lists) {
+    size_t places = rn_share_place(lists, count) + 1;
+    return count * 2 * sizeof(float) + places * (sizeof(double) + sizeof(uint32_t));
+}
+
+enum rn_status rn_importance_init(size_t count, int lists, struct rn_importance *ret,
+                                  struct rn_error *err) {
+    size_t places = rn_share_place(lists, count) + 1;
     *ret = (struct rn_importance){.count = count,
                                   .error = rn_block_create((count + 1) * sizeof *ret->error),
                                   .share = rn_block_create((count + 1) * sizeof *ret->share),
-                                  .begin = rn_block_create((count + 1) * sizeof *ret->begin),
-                                  .guide = rn_block_create((count + 1) * sizeof *ret->guide)};
-    if (!ret->error || !ret->share || !ret->begin || !ret->guide) {
+                                  .sum = rn_block_create(places * sizeof *ret->sum),
+                                  .guide = rn_block_create(places * sizeof *ret->guide)};
+    if (!ret->error || !ret->share || !ret->sum || !ret->guide) {
         rn_importance_finish(ret);
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "pixels", "out of memory");
     }
@@ -26,7 +33,7 @@ enum rn_status rn_importance_init(size_t count, struct rn_importance *ret, struc
 void rn_importance_finish(struct rn_importance *im) {
     rn_block_destroy(im->error);
     rn_block_destroy(im->share);
-    rn_block_destroy(im->begin);
+    rn_block_destroy(im->sum);
     rn_block_destroy(im->guide);
     *im = (struct rn_importance){0};
 }
@@ -50,38 +57,41 @@ void rn_importance_weigh(struct rn_importance *im, size_t first, size_t count) {
     }
 }
 
-void rn_importance_lay_out(struct rn_importance *im, size_t first, size_t count) {
-    double total = 0, at = 0;
-    for (size_t i = first; i < first + count; i++)
-        total += (double)im->share[i];
-    size_t next = 0; // of the guide
+void rn_importance_lay_out(struct rn_importance *im, int list, size_t first, size_t count) {
+    size_t place = rn_share_place(list, first), runs = rn_share_runs(count);
+    double *sum = im->sum + place, total = 0;
     for (size_t i = 0; i < count; i++) {
-        im->begin[first + i] = at / total;
-        at += (double)im->share[first + i];
-        for (; next < count && (double)next / (double)count < at / total; next++)
-            im->guide[first + next] = (uint32_t)i;
+        if (i % RN_SHARE_RUN == 0) sum[i / RN_SHARE_RUN] = total;
+        total += (double)im->share[first + i];
     }
-    for (; next < count; next++)
-        im->guide[first + next] = (uint32_t)(count - 1);
+    sum[runs] = total;
+    size_t next = 0; // of the guide
+    for (size_t run = 0; run < runs; run++)
+        for (; next < runs && (double)next / (double)runs < sum[run + 1] / total; next++)
+            im->guide[place + next] = (uint32_t)run;
+    for (; next < runs; next++)
+        im->guide[place + next] = (uint32_t)(runs - 1);
 }
 
-// The block at `at` or one before it.
-static const uint32_t *guide_to(const struct rn_importance *im, size_t first, size_t count,
+// The run at `at` or one before it.
+static const uint32_t *guide_to(const struct rn_importance *im, size_t place, size_t runs,
                                 double at) {
-    return &im->guide[first + (size_t)(at * (double)count)];
+    return &im->guide[place + (size_t)(at * (double)runs)];
 }
 
 struct rn_shares rn_importance_shares(const struct rn_importance *im) {
-    return (struct rn_shares){im->share, im->begin, im->guide};
+    return (struct rn_shares){im->share, im->sum, im->guide};
 }
 
-struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, size_t first, size_t count,
-                                         uint64_t seed, uint64_t turn, float *ret_weight) {
+struct rn_live_pixel rn_importance_pixel(const struct rn_importance *im, int list, size_t first,
+                                         size_t count, uint64_t seed, uint64_t turn,
+                                         float *ret_weight) {
     // Turns follow each other, and their blocks lie anywhere.
-    __builtin_prefetch(guide_to(im, first, count, rn_golden_place(seed, turn + 2 * AHEAD)));
-    size_t later = first + *guide_to(im, first, count, rn_golden_place(seed, turn + AHEAD));
-    __builtin_prefetch(&im->begin[later]);
-    __builtin_prefetch(&im->share[later]);
+    size_t place = rn_share_place(list, first), runs = rn_share_runs(count);
+    __builtin_prefetch(guide_to(im, place, runs, rn_golden_place(seed, turn + 2 * AHEAD)));
+    size_t later = *guide_to(im, place, runs, rn_golden_place(seed, turn + AHEAD));
+    __builtin_prefetch(&im->sum[place + later]);
+    __builtin_prefetch(&im->share[first + later * RN_SHARE_RUN]);
     struct rn_shares shares = rn_importance_shares(im);
-    return rn_shared_pixel(&shares, first, count, seed, turn, ret_weight);
+    return rn_shared_pixel(&shares, list, first, count, seed, turn, ret_weight);
 }

@@ -116,7 +116,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     } else if (t->field->config.carve) {
         rn_trainer_carve(t);
     }
-    status = rn_trainer_list_hull(t, err);
+    status = rn_trainer_count_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status == RN_OK) status = make_ready(t, begin, err);
     if (status != RN_OK) goto fail;
@@ -135,7 +135,7 @@ static enum rn_status take_state(struct rn_trainer *t, struct rn_checkpoint *che
     if (status != RN_OK) return status;
     rn_trainer_take_counters(t, &checkpoint->counters);
     rn_trainer_note_withheld(t); // what was given back
-    status = rn_trainer_list_hull(t, err);
+    status = rn_trainer_count_hull(t, err);
     if (status == RN_OK) status = rn_trainer_list_live(t, err);
     if (status != RN_OK) return status;
     rn_trainer_place_cameras(t); // those that were moved
@@ -198,7 +198,7 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
     rn_block_destroy(t->optimiser.grad);
     rn_trainer_drop_growth(t);
     rn_ranks_free(t);
-    free(t->hull.list);
+    free(t->hull.before);
     rn_block_destroy(t->hull.seen);
     rn_sampler_finish(&t->sampler);
     rn_poses_finish(&t->poses);
@@ -210,11 +210,12 @@ void rn_trainer_destroy(struct rn_trainer **trainer) {
 
 struct rn_field *rn_trainer_finish(struct rn_trainer **trainer) {
     struct rn_field *field = (*trainer)->field;
+    struct rn_engine *engine = (*trainer)->engine;
     rn_trainer_end_ranks(*trainer);
     bool here = rn_field_fetch(field, NULL, NULL) == RN_OK;
-    if (here) rn_field_refine_occupancy(field, (*trainer)->engine);
-    if (here && field->on_device) (void)!rn_field_put_to_render((*trainer)->engine, field, NULL);
     (*trainer)->field = NULL;
-    rn_trainer_destroy(trainer);
+    rn_trainer_destroy(trainer); // what follows needs memory of its own
+    if (here) rn_field_refine_occupancy(field, engine);
+    if (here && field->on_device) (void)!rn_field_put_to_render(engine, field, NULL);
     return field;
 }

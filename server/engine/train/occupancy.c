@@ -18,19 +18,42 @@
 
 // ---- hull -----------------------------------------------------------------------------------
 
-enum rn_status rn_trainer_list_hull(struct rn_trainer *t, struct rn_error *err) {
+// Of the hull's bytes, 0 or 1, how many of eight are 1.
+static size_t count_eight(const uint8_t *cells) {
+    uint64_t eight;
+    memcpy(&eight, cells, sizeof eight);
+    return (size_t)(eight * 0x0101010101010101u >> 56);
+}
+
+enum rn_status rn_trainer_count_hull(struct rn_trainer *t, struct rn_error *err) {
     struct rn_field *field = t->field;
     size_t cells = (size_t)field->config.field.occupancy, n = cells * cells * cells;
-    field->hull_cells = 0;
-    for (size_t i = 0; i < n; i++)
-        field->hull_cells += field->hull[i];
-    free(t->hull.list);
-    t->hull.list = malloc((field->hull_cells + 1) * sizeof *t->hull.list);
-    if (!t->hull.list) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
+    if (!t->hull.before) t->hull.before = malloc(n / RN_HULL_WORD * sizeof *t->hull.before);
+    if (!t->hull.before) return rn_error_set(err, RN_ERROR_NO_MEMORY, "occupancy", "out of memory");
     t->hull.count = 0;
-    for (size_t i = 0; i < n; i++)
-        if (field->hull[i]) t->hull.list[t->hull.count++] = (uint32_t)i;
+    for (size_t i = 0; i < n; i += 8) {
+        if (i % RN_HULL_WORD == 0) t->hull.before[i / RN_HULL_WORD] = (uint32_t)t->hull.count;
+        t->hull.count += count_eight(field->hull + i);
+    }
+    field->hull_cells = t->hull.count;
     return RN_OK;
+}
+
+size_t rn_hull_cell(const struct rn_trainer *t, size_t i, size_t *word) {
+    size_t cells = (size_t)t->field->config.field.occupancy;
+    size_t words = cells * cells * cells / RN_HULL_WORD;
+    const uint32_t *before = t->hull.before;
+    while (*word + 1 < words && before[*word + 1] <= i)
+        ++*word;
+    const uint8_t *hull = t->field->hull + *word * RN_HULL_WORD, *at = hull;
+    size_t skip = i - before[*word], n;
+    while ((n = count_eight(at)) <= skip) {
+        skip -= n;
+        at += 8;
+    }
+    while (!*at || skip-- > 0)
+        at++;
+    return (size_t)(at - t->field->hull);
 }
 
 // ---- carving --------------------------------------------------------------------------------
@@ -290,6 +313,19 @@ static bool is_occupied(const struct rn_occupancy_bits *bits, const int at[3]) {
     return bits->words[word] & rn_brick_bit(at[0], at[1]);
 }
 
+// The last word before which no more than i cells are.
+static size_t first_word(const struct rn_hull *hull, int cells, size_t i) {
+    size_t low = 0, high = (size_t)cells * (size_t)cells * (size_t)cells / RN_HULL_WORD;
+    while (high - low > 1) {
+        size_t middle = (low + high) / 2;
+        if (hull->before[middle] <= i)
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
 static void measure_chunk(void *context, int index, int thread) {
     const struct measurement *m = context;
     struct rn_trainer *t = m->trainer;
@@ -298,8 +334,9 @@ static void measure_chunk(void *context, int index, int thread) {
     uint32_t at[CHUNK];
     float points[CHUNK][3], density[CHUNK];
     size_t begin = (size_t)(m->share.first + index) * CHUNK;
+    size_t word = first_word(&t->hull, cells, m->first + begin * m->stride);
     for (size_t i = begin; i < m->count && i < begin + CHUNK; i++) {
-        uint32_t cell = at[n] = t->hull.list[m->first + i * m->stride];
+        uint32_t cell = at[n] = (uint32_t)rn_hull_cell(t, m->first + i * m->stride, &word);
         struct rn_rng4 draw =
             rn_rng_draw(config->seed, STREAM_OCCUPANCY + cell, (uint64_t)t->progress.step);
         int index3[3];

@@ -176,6 +176,15 @@ static enum rn_status begin_pass(struct rn_trainer *t, struct rn_error *err) {
     return rn_error_set(err, RN_ERROR_NO_MEMORY, "outliers", "out of memory");
 }
 
+size_t rn_outlier_pass_bytes(size_t blocks, size_t most) {
+    const struct rn_outliers *o = NULL;
+    size_t each = sizeof *o->difference + sizeof *o->taken + sizeof *o->known + sizeof *o->size +
+                  sizeof *o->depth + sizeof *o->large + sizeof(double); // measure's
+    // Memory that is not looked at is not taken; and no fewer photographs than FEWEST are.
+    size_t looked = MOST + most > FEWEST * most ? MOST + most : FEWEST * most;
+    return each * (looked < blocks ? looked : blocks);
+}
+
 // ---- a pass -----------------------------------------------------------------------------------
 
 // What is withheld is not learned, whatever it shows.

@@ -52,6 +52,8 @@ struct rn_outliers {
     bool share_known;
 };
 void rn_outliers_finish(struct rn_outliers *outliers);
+// Bytes of memory that a pass over so many blocks takes, `most` of them in one photograph.
+size_t rn_outlier_pass_bytes(size_t blocks, size_t most);
 // Before training goes on: room for what is left out, where something is. RN_ERROR_NO_MEMORY.
 enum rn_status rn_trainer_allocate_outliers(struct rn_trainer *trainer,
                                             struct rn_error *err) RN_MUST_CHECK;

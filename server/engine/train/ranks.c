@@ -300,11 +300,13 @@ void rn_ranks_tell_cells(struct rn_trainer *t, size_t first, size_t stride, size
         sizes[r] = (end - at) * sizeof *told;
         at = end;
     }
+    size_t word = 0;
     for (size_t i = 0; i < count; i++)
-        told[i] = t->field->occupancy[t->hull.list[first + i * stride]];
+        told[i] = t->field->occupancy[rn_hull_cell(t, first + i * stride, &word)];
     x->gather(told, sizes);
+    word = 0;
     for (size_t i = 0; i < count; i++)
-        t->field->occupancy[t->hull.list[first + i * stride]] = told[i];
+        t->field->occupancy[rn_hull_cell(t, first + i * stride, &word)] = told[i];
 }
 
 void rn_ranks_tell_seen(struct rn_trainer *t) {

@@ -39,8 +39,8 @@ void rn_ranks_end_step(struct rn_trainer *trainer, bool complete, double seconds
 // Slabs and cursors of a wave, once; sums of a step.
 void rn_ranks_tell_wave(struct rn_trainer *trainer);
 void rn_ranks_tell_step(struct rn_trainer *trainer);
-// What the hull's cells were found to hold: of `count` cells hull.list[first + i * stride], whose
-// `chunk`-wise parts the ranks have measured.
+// What the hull's cells were found to hold: of `count` cells, the (first + i * stride)-th of them,
+// whose `chunk`-wise parts the ranks have measured.
 void rn_ranks_tell_cells(struct rn_trainer *trainer, size_t first, size_t stride, size_t count,
                          size_t chunk);
 void rn_ranks_tell_seen(struct rn_trainer *trainer); // what cells showed

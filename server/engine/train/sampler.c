@@ -25,6 +25,9 @@ void rn_sampler_free_rays(struct rn_sampler *s) {
 void rn_sampler_finish(struct rn_sampler *s) {
     rn_sampler_free_rays(s);
     rn_block_destroy(s->live);
+    rn_block_destroy(s->live_before);
+    rn_block_destroy(s->live_guide);
+    free(s->first);
     rn_importance_finish(&s->importance);
 }
 
@@ -108,10 +111,11 @@ static void draw_live_pixel(const struct rn_trainer *t, int r, struct rn_trainer
            count = t->sampler.live_first[from.scale + 1] - first;
     uint64_t seed = t->field->config.seed;
     if (count == 0) return;
-    struct rn_live_pixel pixel = t->sampler.importance.count > 0
-                                     ? rn_importance_pixel(&t->sampler.importance, first, count,
-                                                           seed, from.turn, &ret->weight)
-                                     : rn_live_pixel(seed, from.turn, count);
+    struct rn_live_pixel pixel =
+        t->sampler.importance.count > 0
+            ? rn_importance_pixel(&t->sampler.importance, from.scale, first, count, seed, from.turn,
+                                  &ret->weight)
+            : rn_live_pixel(seed, from.turn, count);
     ret->x = pixel.x;
     ret->y = pixel.y;
     ret->block = (int32_t)(first + pixel.block);
@@ -131,10 +135,10 @@ bool rn_trainer_leaves_out(const struct rn_trainer *t) {
 // image's edge, or a mask leaves the pixel out.
 static void settle(const struct rn_trainer *t, struct rn_trainer_place *place) {
     if (place->block < 0) return;
-    const struct rn_live_block *block = &t->sampler.live[place->block];
-    const struct rn_pixel_frame *frame = &t->train.frames[block->frame];
-    place->x += block->x;
-    place->y += block->y;
+    struct rn_live_block block = rn_trainer_live(t, (size_t)place->block);
+    const struct rn_pixel_frame *frame = &t->train.frames[block.frame];
+    place->x += block.x;
+    place->y += block.y;
     if (place->x < frame->camera.width && place->y < frame->camera.height &&
         rn_trainer_is_drawn(t, frame, place->x, place->y))
         place->frame = frame;
@@ -178,10 +182,8 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
     for (; begin < end; begin += 32) {
         int n = end - begin < 32 ? end - begin : 32;
         struct rn_march_ray *rays = t->step.rays + begin;
-        for (int i = 0; i < n; i++) {
+        for (int i = 0; i < n; i++)
             places[i] = draw_place(t, begin + i);
-            if (places[i].block >= 0) __builtin_prefetch(&t->sampler.live[places[i].block]);
-        }
         for (int i = 0; i < n; i++) {
             settle(t, &places[i]);
             if (places[i].frame)

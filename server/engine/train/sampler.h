@@ -10,13 +10,18 @@ struct rn_trainer;
 
 // A block of pixels of a training frame whose cones may meet the hull.
 struct rn_live_block {
-    uint32_t frame;
-    uint16_t x, y; // its first pixel
+    int frame, x, y; // x, y: its first pixel
 };
+
+#define RN_LIVE_STRIDE 4096
 
 // Owner: rn_sampler_finish.
 struct rn_sampler {
-    struct rn_live_block *live; // blocks to draw rays from, scale after scale
+    uint32_t *first; // [frames]: number of each frame's first block
+    // Blocks to draw rays from, in the order of their numbers, so scale after scale: a bit a block;
+    // how many are before each word; the word that every RN_LIVE_STRIDE-th of them is in.
+    uint64_t *live;
+    uint32_t *live_before, *live_guide;
     size_t live_count, live_first[17];
     struct rn_importance importance; // of the live blocks; none where they are drawn evenly
     float *ray_loss;                 // [RN_MAX_RAYS]: of the step's rays
@@ -29,8 +34,11 @@ enum rn_status rn_sampler_allocate_rays(struct rn_sampler *sampler,
 void rn_sampler_free_rays(struct rn_sampler *sampler);
 void rn_sampler_finish(struct rn_sampler *sampler);
 
-// live.c: the live blocks of the hull as it is.
+// live.c: the live blocks of the hull as it is. RN_ERROR_NO_MEMORY, RN_ERROR_LIMIT.
 enum rn_status rn_trainer_list_live(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
+struct rn_live_block rn_trainer_live(const struct rn_trainer *trainer, size_t live); // of them
+size_t rn_trainer_live_bytes(size_t blocks); // of what is kept of so many, without importance
+size_t rn_trainer_blocks(const struct rn_camera *camera); // of a frame, live or not
 // Makes rays be drawn by the blocks' shares as they are; with `weigh` by their errors so far.
 void rn_trainer_share_out(struct rn_trainer *trainer, bool weigh);
 

@@ -63,14 +63,14 @@ END_TEST
 static struct rn_importance uneven(void) {
     struct rn_importance im;
     struct rn_error err;
-    ck_assert_int_eq(rn_importance_init(BEFORE + BLOCKS, &im, &err), RN_OK);
+    ck_assert_int_eq(rn_importance_init(BEFORE + BLOCKS, 2, &im, &err), RN_OK);
     for (size_t i = 0; i < BEFORE + BLOCKS; i++)
         for (int times = 0; times < 3 && i % 10 != 0; times++)
             rn_importance_note(&im, i, pow(10, -6.0 * (double)(i * 7 % 1000) / 1000));
     for (int list = 0; list < 2; list++) {
         size_t first = list ? BEFORE : 0, count = list ? BLOCKS : BEFORE;
         rn_importance_weigh(&im, first, count);
-        rn_importance_lay_out(&im, first, count);
+        rn_importance_lay_out(&im, list, first, count);
     }
     return im;
 }
@@ -85,7 +85,7 @@ START_TEST(importance_is_unbiased) {
     uint64_t turns = 200 * BLOCKS;
     for (uint64_t turn = 0; turn < turns; turn++) {
         float weight;
-        struct rn_live_pixel p = rn_importance_pixel(&im, BEFORE, BLOCKS, 3, 99 + turn, &weight);
+        struct rn_live_pixel p = rn_importance_pixel(&im, 1, BEFORE, BLOCKS, 3, 99 + turn, &weight);
         if (p.block >= BLOCKS) ck_abort_msg("block %d", (int)p.block);
         visits[p.block]++;
         weighted[0] += (double)weight;
@@ -117,7 +117,7 @@ START_TEST(importance_takes_other_pixels) {
     int left_out = 0;
     float weight;
     for (uint64_t turn = 0; turn < 400 * BLOCKS; turn++) {
-        struct rn_live_pixel p = rn_importance_pixel(&im, BEFORE, BLOCKS, 8, turn, &weight);
+        struct rn_live_pixel p = rn_importance_pixel(&im, 1, BEFORE, BLOCKS, 8, turn, &weight);
         if (p.x < 0 || p.x >= RN_LIVE_BLOCK || p.y < 0 || p.y >= RN_LIVE_BLOCK)
             ck_abort_msg("pixel (%d, %d) of block %d", p.x, p.y, (int)p.block);
         if (visits[p.block]++ < 100) seen[p.block][p.y * RN_LIVE_BLOCK + p.x]++;
@@ -132,6 +132,42 @@ START_TEST(importance_takes_other_pixels) {
 }
 END_TEST
 
+// What is kept once a run of blocks says what the sums before every block would: the same blocks,
+// pixels and weights, at places that blocks begin at too, in lists of any length.
+START_TEST(runs_find_what_all_sums_would) {
+    for (size_t count = 1; count < 120; count += count < 40 ? 1 : 13) {
+        struct rn_importance im;
+        struct rn_error err;
+        size_t first = count * 7 % 31;
+        double begin[121] = {0}, total = 0;
+        ck_assert_int_eq(rn_importance_init(first + count, 2, &im, &err), RN_OK);
+        for (size_t i = 0; i < first + count; i++)
+            im.share[i] = (float)pow(10, -5.0 * (double)(i * i % 17) / 17);
+        if (first) rn_importance_lay_out(&im, 0, 0, first);
+        rn_importance_lay_out(&im, 1, first, count);
+        for (size_t i = 0; i < count; total += (double)im.share[first + i++])
+            begin[i] = total;
+        for (size_t i = 0; i < count; i++)
+            begin[i] /= total;
+        begin[count] = 1;
+        for (uint64_t turn = 0; turn < 50 * count; turn++) {
+            float weight;
+            double at = rn_golden_place(5, turn);
+            uint64_t block = count - 1;
+            while (begin[block] > at)
+                block--;
+            struct rn_live_pixel is = rn_importance_pixel(&im, 1, first, count, 5, turn, &weight);
+            struct rn_live_pixel be =
+                rn_pixel_of_block(block, (uint32_t)((at - begin[block]) /
+                                                    (begin[block + 1] - begin[block]) * PIXELS));
+            ck_assert_uint_eq(is.block, be.block);
+            ck_assert(is.x == be.x && is.y == be.y && weight == 1 / im.share[first + block]);
+        }
+        rn_importance_finish(&im);
+    }
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("draw");
     TCase *tests = tcase_create("pixels");
@@ -141,6 +177,7 @@ int main(void) {
     tcase_add_test(tests, scales_take_turns);
     tcase_add_test(tests, importance_is_unbiased);
     tcase_add_test(tests, importance_takes_other_pixels);
+    tcase_add_test(tests, runs_find_what_all_sums_would);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }
