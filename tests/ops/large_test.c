@@ -1,4 +1,6 @@
 // Photographs of more pixels than the time given has rays for, or than memory is to hold.
+#include <malloc.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -404,6 +406,67 @@ START_TEST(scales_give_pages_back) {
 }
 END_TEST
 
+static double own_bytes(void) {
+    char line[256];
+    long own = -1;
+    FILE *file = fopen("/proc/self/status", "r");
+    ck_assert_ptr_nonnull(file);
+    while (fgets(line, sizeof line, file))
+        if (sscanf(line, "RssAnon: %ld", &own) == 1) break;
+    fclose(file);
+    ck_assert_int_ge(own, 0);
+    return (double)own * 1024;
+}
+
+// What a training is said to need beside its pixels is what it takes at most, in blocks of pixels
+// that are drawn by their errors, in planes of two sizes while they grow, and with outliers sought;
+// and not much less. Memory that is given back is not taken: see the runner's main().
+START_TEST(what_is_said_is_what_is_taken) {
+    struct rn_error err = {0};
+    struct rn_engine *engine = engine_with(1);
+    struct rn_trainer *t = NULL;
+    struct rn_progress progress = {0};
+    ck_assert_int_eq(mallopt(M_PERTURB, 0), 1);
+    ck_assert_int_eq(mallopt(M_MMAP_THRESHOLD, 1 << 20), 1);
+    snprintf(large_path, sizeof large_path, "%s/large.png", folder);
+    struct rn_dataset large = make_large(large_frames, large_path);
+    struct rn_image image; // without alpha all blocks are live
+    ck_assert(rn_image_init(SIDE, SIDE, &image, &err) == RN_OK);
+    memset(image.pixels, 255, (size_t)4 * SIDE * SIDE);
+    ck_assert(rn_image_write_png(&image, large_path, 1, &err) == RN_OK);
+    rn_image_finish(&image);
+    struct rn_train_config config = config_for(&large);
+    config.train_scale = 1;
+    config.pixel_memory = HELD_MIB;
+    config.draw_by_error = config.favour_finest = true;
+    config.field.base = 64;
+    config.grow_to = 256;
+    config.max_steps = 40;
+    config.target_samples = 4096;
+    rn_engine_keep_in(engine, folder);
+    ck_assert_int_eq(rn_trainer_create(engine, &large, &config, 1 << 20, &t, &err), RN_ERROR_LIMIT);
+    const char *needs = strstr(err.text, "needs ");
+    ck_assert_ptr_nonnull(needs);
+    double said = atof(needs + 6) * (1 << 20), before = own_bytes(), taken = 0;
+    ck_assert_msg(rn_trainer_create(engine, &large, &config, (size_t)said + (2 << 20), &t, &err) ==
+                      RN_OK,
+                  "%s", err.text);
+    ck_assert_ptr_nonnull(t->train.paged.bytes);
+    ck_assert_uint_gt(t->sampler.importance.count, 400000);
+    while (!progress.done) {
+        ck_assert_msg(rn_trainer_advance(t, 0, &err) == RN_OK, "%s", err.text);
+        rn_trainer_progress(t, &progress);
+        taken = fmax(taken, own_bytes() - before);
+    }
+    ck_assert_int_eq(t->field->config.field.base, 256);
+    printf("said %.1f MiB, taken %.1f\n", said / (1 << 20), taken / (1 << 20));
+    ck_assert_double_le(taken, said);
+    ck_assert_double_gt(taken, 0.6 * said);
+    rn_trainer_destroy(&t);
+    rn_engine_destroy(&engine);
+}
+END_TEST
+
 // A folder that takes no such file is named.
 START_TEST(where_there_is_no_place) {
     static struct rn_frame frames[64];
@@ -433,6 +496,7 @@ static void add(TCase *tests) {
     tcase_add_test(tests, more_than_memory_is_to_hold);
     tcase_add_test(tests, passes_give_pages_back);
     tcase_add_test(tests, scales_give_pages_back);
+    tcase_add_test(tests, what_is_said_is_what_is_taken);
     tcase_add_test(tests, where_there_is_no_place);
 }
 

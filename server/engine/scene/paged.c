@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <stdatomic.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -70,8 +71,16 @@ static size_t resident_pages(void) {
     return shared;
 }
 
+// Of them those of no block, the program's and its libraries': the fewest that were left when a
+// block had let go of all of its own. 0: not known yet.
+static atomic_size_t others;
+
 void rn_paged_hold_at_most(const struct rn_paged *paged, size_t bytes) {
-    if (paged->bytes && resident_pages() > bytes / PAGE) rn_paged_let_go(paged);
+    size_t before = atomic_load(&others);
+    if (!paged->bytes || resident_pages() <= before + bytes / PAGE) return;
+    rn_paged_let_go(paged);
+    size_t left = resident_pages();
+    if (left != SIZE_MAX && (before == 0 || left < before)) atomic_store(&others, left);
 }
 
 void rn_paged_expect(const void *byte) {

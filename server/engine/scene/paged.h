@@ -22,7 +22,8 @@ void rn_paged_destroy(struct rn_paged *paged); // a block of none: nothing
 // The process holds none of its pages any more, until it looks at them again; what they hold stays.
 // Any thread, whatever others do with them meanwhile.
 void rn_paged_let_go(const struct rn_paged *paged);
-// The same where pages of files, of any, are more than `bytes` of the process's memory.
+// The same where pages of blocks, of any, are more than `bytes` of the process's memory; pages of
+// the program, which it shares with others, are beside that.
 void rn_paged_hold_at_most(const struct rn_paged *paged, size_t bytes);
 // One byte of it will be looked at soon: its page is fetched meanwhile.
 void rn_paged_expect(const void *byte);
