@@ -31,7 +31,7 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
     sink->size += size;
     if (sink->fd >= 0) {
         if (!rn_write_all(sink->fd, bytes, size))
-            (void)rn_error_from_errno(&sink->error, errno, sink->path, "write the upload");
+            (void)rn_error_from_errno(&sink->error, errno, "upload", "write what was sent");
     } else {
         rn_buf_append(&sink->memory, bytes, size);
         if (sink->memory.failed) fail(sink, RN_ERROR_NO_MEMORY, "no memory for the body");
@@ -42,7 +42,7 @@ bool rn_sink_write(struct rn_sink *sink, const char *bytes, size_t size) {
 enum rn_status rn_sink_close(struct rn_sink *sink, struct rn_error *err) {
     if (sink->fd >= 0) {
         if (sink->error.status == RN_OK && fsync(sink->fd) != 0)
-            (void)rn_error_from_errno(&sink->error, errno, sink->path, "write the upload");
+            (void)rn_error_from_errno(&sink->error, errno, "upload", "write what was sent");
         close(sink->fd);
         sink->fd = -1;
     }
@@ -91,10 +91,10 @@ enum rn_status rn_request_spool(struct rn_request *request, const char *folder, 
     enum rn_status room = check_room(request, folder, err);
     if (room != RN_OK) return room;
     if (asprintf(&path, "%s/upload-XXXXXX", folder) < 0)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, folder, "no memory for an upload");
+        return rn_error_set(err, RN_ERROR_NO_MEMORY, "upload", "no memory for an upload");
     int fd = mkostemp(path, O_CLOEXEC);
     if (fd < 0) {
-        enum rn_status status = rn_error_from_errno(err, errno, path, "create an upload file");
+        enum rn_status status = rn_error_from_errno(err, errno, "upload", "begin it");
         free(path);
         return status;
     }
@@ -113,7 +113,7 @@ enum rn_status rn_request_append(struct rn_request *request, const char *path, u
     int fd = copy != NULL ? open(path, O_WRONLY | O_CLOEXEC | O_NOFOLLOW) : -1;
     if (fd < 0 || lseek(fd, (off_t)offset, SEEK_SET) < 0) {
         enum rn_status status =
-            rn_error_from_errno(err, copy != NULL ? errno : ENOMEM, path, "go on with an upload");
+            rn_error_from_errno(err, copy != NULL ? errno : ENOMEM, "upload", "go on with it");
         if (fd >= 0) close(fd);
         free(copy);
         return status;

@@ -69,6 +69,10 @@ def test_a_taken_name_is_told_before_anything_is_sent(page, fake, folder):
     page.type(page.field("Name"), "sphere")
     page.press("Upload and import")
     page.says("there is a dataset of that name")
+    page.press("Import options")
+    page.type(page.field("Test: every N-th view"), "2\t")
+    page.says("3 test", ".preview .facts")  # looked at once more, which is no answer to that
+    page.says("there is a dataset of that name")
     assert not api.world.parts
 
 
@@ -160,7 +164,7 @@ def test_what_cannot_be_read_is_told_before_it_is_sent(page, fake, folder):
 
 
 def test_a_tab_closed_in_an_upload_leaves_no_dataset(page, fake, folder):
-    """The browser asks first; what was sent is no dataset, and the name is free."""
+    """The browser asks first; what was sent takes no room, is no dataset, and the name is free."""
     api = fake("empty")
     api.world.line_dead_below = 1 << 30  # no part ever ends
     choose(page, api, folder)
@@ -168,8 +172,9 @@ def test_a_tab_closed_in_an_upload_leaves_no_dataset(page, fake, folder):
     page.says("The connection is lost.")
     asked = """const closing = new Event('beforeunload', {cancelable: true});
 dispatchEvent(closing); return closing.defaultPrevented;"""
-    assert page.run(asked)
+    assert page.run(asked) and api.world.uploads
     page.open("about:blank")
+    page.until(lambda: not api.world.uploads, "what was sent to be given up")
     api.world.line_dead_below = 0
     choose(page, api, folder)
     assert not page.run(asked) and not api.world.datasets
@@ -213,14 +218,46 @@ api.beginUpload = async (body, signal) => {
   return upload;
 };
 api.sendPart = (id, ...rest) => id !== named ? sendPart(id, ...rest) : new Promise((_, refuse) => {
-  window.fail = () => refuse(new Problem(507, {title: 'No space', detail: 'the disk is full'}));
+  window.fail = () => refuse(new Problem(413, {title: 'Too large', detail: 'no more is taken'}));
 });""")
     page.press("Upload and import")
     page.until(lambda: page.run("return Boolean(window.fail);"), "a part on its way")
     leave_and_return(page)
     page.run("window.fail();")
-    page.says("the disk is full", "body")
+    page.says("no more is taken", "body")
     page.until(lambda: "Upload ball" not in page.text("main"), "the upload gone")
+    page.until(lambda: not api.world.uploads, "what was sent to be given up")
+
+
+def test_an_upload_goes_on_where_a_full_disk_left_it(page, fake, folder):
+    """Of which it says so meanwhile; what was sent is not sent again."""
+    api = fake("empty")
+    choose(page, api, folder)
+    page.says("5 train", ".preview .facts")
+    page.run("""
+const {api, Problem} = await load('api.js');
+const {beginUpload, sendPart} = api;
+let named = null;
+window.full = true;
+window.sent = [];
+api.beginUpload = async (body, signal) => {
+  const upload = await beginUpload(body, signal);
+  if (body.name) named = upload.id;
+  return upload;
+};
+api.sendPart = async (id, offset, part, ...rest) => {
+  if (id !== named || !window.full) {
+    if (id === named) window.sent.push(offset);
+    return sendPart(id, offset, part, ...rest);
+  }
+  if (!offset) await sendPart(id, offset, part.slice(0, 1000), ...rest);
+  throw new Problem(507, {title: 'The disk is full', detail: 'upload: No space left on device'});
+};""")
+    page.press("Upload and import")
+    page.says("No space left on device. It goes on where it was, by itself.")
+    page.run("window.full = false;")
+    page.says("ball is imported.")
+    assert page.run("return window.sent;") == [1000]
 
 
 def test_an_upload_goes_on_when_the_page_has_found_the_daemon(page, fake):

@@ -91,15 +91,17 @@ async function problemOf(response) {
 /**
  * One exchange. Throws Problem, Unreachable or AbortError.
  * @param {string} method @param {string} path
- * @param {{json?: any, headers?: object, signal?: AbortSignal, repeatable?: boolean}} [options]
- *     repeatable: as often asked as once; by default what reads, and what has a key
+ * @param {{json?: any, headers?: object, signal?: AbortSignal, repeatable?: boolean, keepalive?: boolean}}
+ *     [options] repeatable: as often asked as once; by default what reads, and what has a key;
+ *     keepalive: also where the page is left
  * @returns {Promise<Response>} with a 2xx status
  */
-export async function request(method, path, {json, headers = {}, signal, repeatable} = {}) {
+export async function request(method, path, {json, headers = {}, signal, repeatable, keepalive} = {}) {
   const used = token.get();
   const response = await reach(address(path), {
     method,
     signal,
+    keepalive,
     body: json === undefined ? undefined : JSON.stringify(json),
     headers: withToken(
         json === undefined ? headers : {'Content-Type': 'application/json', ...headers}),
@@ -107,7 +109,7 @@ export async function request(method, path, {json, headers = {}, signal, repeata
   if (response.ok) return response;
   const problem = await problemOf(response);
   if (response.status === 401 && await renewToken(used, problem.detail))
-    return request(method, path, {json, headers, signal, repeatable});
+    return request(method, path, {json, headers, signal, repeatable, keepalive});
   throw problem;
 }
 
@@ -238,7 +240,7 @@ export const api = {
   /** Begins an upload of a tar; a name that is taken is refused here. */
   beginUpload: (body, signal) => json('POST', 'v1/uploads', {json: body, signal, repeatable: true}),
   upload: (id, signal) => json('GET', `v1/uploads/${name(id)}`, {signal}),
-  dropUpload: (id) => request('DELETE', `v1/uploads/${name(id)}`),
+  dropUpload: (id) => request('DELETE', `v1/uploads/${name(id)}`, {keepalive: true}),
   /** Imports an upload that is whole; asked twice, the same job answers. */
   addUpload: (body, signal) => json('POST', 'v1/datasets', {json: body, signal, repeatable: true}),
 

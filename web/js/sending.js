@@ -12,7 +12,11 @@ const WAITS_MS = [500, 1000, 2000, 4000, 8000];
 const passes = (error) => error instanceof Unreachable ||
     (error instanceof Problem && [409, 429, 502, 503, 504].includes(error.status));
 
+/** Of a part, also a disk that is full: what is there stays, and it is freed perhaps. */
+const partPasses = (error) => passes(error) || (error instanceof Problem && error.status === 507);
+
 /**
+ * What was sent goes if it is given up, fails for good, or the page is left.
  * @param {Blob} tar @param {string} name the dataset's
  * @param {{onProgress: (sent: number) => void, onWait: (error: Error) => void,
  *     take?: (upload: string) => Promise<any>, signal: AbortSignal}} host onWait: a pause, after a failure
@@ -20,11 +24,11 @@ const passes = (error) => error instanceof Unreachable ||
  * @returns {Promise<any>} what `take` answers, else the upload's id
  */
 export async function sendInParts(
-    tar, name, {onProgress, onWait, take = async (upload) => upload, signal}) {
+    tar, name, {onProgress, onWait, take, signal}) {
   let failures = 0;
-  const pause = async (error) => {
+  const pause = async (error, mayPass = passes) => {
     if (signal.aborted) throw new DOMException('upload cancelled', 'AbortError');
-    if (!passes(error)) throw error;
+    if (!mayPass(error)) throw error;
     const ms = WAITS_MS[Math.min(failures++, WAITS_MS.length - 1)];
     onWait(error);
     await online(ms, signal);
@@ -42,8 +46,11 @@ export async function sendInParts(
   const begin = () => patiently(() => api.beginUpload({size_bytes: tar.size, name}, signal));
   let upload = await begin();
   let size = FIRST_PART;
-  signal.addEventListener('abort', () => api.dropUpload(upload.id).catch(() => {}), {once: true});
-  while (upload.offset < tar.size) {
+  const over = new AbortController();
+  const drop = () => api.dropUpload(upload.id).catch(() => {});
+  signal.addEventListener('abort', drop, {once: true, signal: over.signal});
+  addEventListener('pagehide', drop, {signal: AbortSignal.any([signal, over.signal])});
+  const sendNext = async () => {
     const from = upload.offset;
     const part = tar.slice(from, from + size);
     const began = performance.now();
@@ -54,7 +61,7 @@ export async function sendInParts(
       if (performance.now() - began < QUICK_MS) size = Math.min(MOST_PART, 2 * size);
     } catch (error) {
       size = FIRST_PART;
-      await pause(error);
+      await pause(error, partPasses);
       upload = await patiently(() => api.upload(upload.id, signal)).catch((lost) => {
         if (lost instanceof Problem && lost.status === 404) return begin();  // it was removed
         throw lost;
@@ -62,8 +69,18 @@ export async function sendInParts(
       if (upload.offset > from) failures = 0;
     }
     onProgress(upload.offset);
+  };
+  try {
+    while (upload.offset < tar.size) await sendNext();
+    if (!take) return upload.id;
+    const taken = await patiently(() => take(upload.id));
+    over.abort();  // it is the daemon's
+    return taken;
+  } catch (error) {
+    if (!signal.aborted) drop();
+    over.abort();
+    throw error;
   }
-  return patiently(() => take(upload.id));
 }
 
 /** Waits so long, or until the browser is online again, or the page has found the daemon again. */

@@ -159,16 +159,21 @@ export function createPreview(plan, {values, take, looks, node: form, onFault, o
   let timer = 0;
   let isWhole = false;  // the heads of files are all of them
 
+  let isFaulty = false;
+  const fault = (error) => {
+    if (error || isFaulty) onFault(error);  // what is told of sending stays
+    isFaulty = Boolean(error);
+  };
   const poses = plan.poses && {poses: plan.poses};
   async function look() {
     try {
       const options = {...poses, ...values()};
       const job = putJob(await api.submit({type: 'validate', upload, options}));
-      onFault(null);
+      fault(null);
       onRefused(false);
       asked = job.id;
     } catch (error) {
-      if (!signal.aborted) onFault(error);
+      if (!signal.aborted) fault(error);
     }
   }
   async function send(entries, words) {
@@ -219,6 +224,6 @@ export function createPreview(plan, {values, take, looks, node: form, onFault, o
     const job = asked && find(state.jobs, asked);
     if (job) show(job);
   }, signal);
-  begin().catch((error) => !signal.aborted && onFault(error));
+  begin().catch((error) => !signal.aborted && fault(error));
   return {node};
 }
