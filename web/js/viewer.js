@@ -6,7 +6,7 @@ import {Problem, Unreachable} from './api.js';
 import {pictureOf} from './grey16.js';
 import {opticsOfPicture} from './optics.js';
 
-const STILL_MS = 80;  // from the last input to a finer picture, which the next one gives up
+const STILL_MS = 50;  // from the last input to a finer picture, which the next one gives up
 const COARSE_MS = 42;       // from an input to the answer with its coarse picture, nearly always
 const LEAST_MS = 12;        // of it in rendering, however long its way is;
 const WAY_SHARE = 0.25;     // and as much as this of a long way, which is hardly longer by it,
