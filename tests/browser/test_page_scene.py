@@ -201,11 +201,16 @@ def test_a_report_without_test_views_shows_others_and_fits(page, fake, downloads
     assert [e.text.split(":")[0] + e.text.split(":")[1][:2] for e in page.all("figcaption")] == ["train0", "train1", "train2"]
     page.says("against the full picture", "p")
     assert "Gain" not in [e.text for e in page.all("th")]  # nothing was measured
-    for media, width in (("screen", 390), ("print", 673)):  # A4 between margins of 16 mm
+    for media, width in (("screen", 320), ("screen", 390), ("print", 673)):  # A4 between margins of 16 mm
         page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
         page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
             "width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": True})
         assert page.run("return document.documentElement.scrollWidth;") <= width, media
+        scrolled = page.run("""
+return [...document.querySelectorAll('*')].filter((e) => e.clientWidth && e.scrollWidth > e.clientWidth &&
+    getComputedStyle(e).overflowX === 'auto').map((e) => [e.tabIndex, e.getAttribute('aria-label')]);""")
+        assert all(index == 0 and label for index, label in scrolled), scrolled
+        assert scrolled or width > 320
     why, whole = page.run("return ['th.why', 'table:has(th.why)'].map((css) => document.querySelector(css).clientWidth);")
     assert why > 0.44 * whole
 

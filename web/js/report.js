@@ -31,7 +31,7 @@ figure { margin: 10px 0; } figcaption { font-size: 12px; color: #59636f; }
 .trio img { width: 100%; display: block; }
 .head { width: 100%; max-height: 420px; object-fit: contain; }
 .chart { max-width: 100%; height: auto; }
-@media screen { section { overflow-x: auto; } }
+@media screen { section[tabindex] { overflow-x: auto; } }
 .chart text { fill: #59636f; font: 11px system-ui, sans-serif; }
 .chart .grid { stroke: #dfe3e8; } .chart .axis { stroke: #c3cad3; }
 .chart .line { fill: none; stroke: #1668b8; stroke-width: 2; }
@@ -62,7 +62,13 @@ const factsTable = (rows) => h(
 
 const section = (title, ...content) => {
   const kept = content.flat().filter(Boolean);
-  return kept.length ? h('section', null, h('h2', null, title), kept) : null;
+  if (!kept.length) return null;
+  const node = h('section', null, h('h2', null, title), kept);
+  if (node.querySelector('table')) {  // on a phone it is scrolled, also by the keyboard
+    node.tabIndex = 0;
+    node.setAttribute('aria-label', title);
+  }
+  return node;
 };
 
 /** A photograph's pixels over the background, at a size. */
