@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from support.client import Client
 from support.cluster import open_files, processes_of, read, runner_of
 from support.on_slurm import (NODES, PATH, begin, finish, frames, long, needs_slurm,
@@ -41,6 +42,24 @@ def test_a_training_and_a_path_on_nodes(on_slurm, slurm, undisturbed):
     assert daemon.delete("/v1/scenes/s").status == 204
     wait_for(lambda: not slurm.jobs("RUNNING", "PENDING", "COMPLETING"))
     assert os.listdir(daemon.data + "/slurm") == []
+
+
+def test_a_film_is_made_on_a_node(on_slurm, build, programs, tmp_path):
+    """And is whole in the daemon."""
+    module = build / "server/film/ripnerf-film.so"
+    if not module.is_file():
+        pytest.skip("built without FFmpeg's libraries")
+    told = f"RIPNERF_FILM_MODULE={module}"
+    runner = write_runner(tmp_path / "films", programs[1], 100, told)
+    daemon = on_slurm(runner=runner, environment=dict([told.split("=")]))
+    training = begin(daemon, max_steps=60)
+    daemon.wait(training)
+    job = daemon.submit(type="path", scene="s", camera_path=PATH, options={"film": "gif"})
+    record = daemon.wait(job)
+    assert record["state"] == "succeeded" and record["result"]["frames"] == 4, record
+    film = daemon.get(f"/v1/jobs/{job}/film").body
+    assert film.startswith(b"GIF89a") and len(film) == record["result"]["film_bytes"]
+    check_traces(daemon, training, job)  # the training's runner made it
 
 
 def check_traces(daemon, log_of, *jobs):
