@@ -17,6 +17,7 @@
 #include "common/base/seal.h"
 #include "common/base/utf8.h"
 #include "common/dataset/dataset.h"
+#include "common/image/codec.h"
 #include "common/image/image.h"
 #include "common/path/formats/formats.h"
 #include "common/path/path.h"
@@ -279,6 +280,53 @@ static void run_image(const uint8_t *bytes, size_t size) {
     rn_image_finish(&image);
 }
 
+static void check_info(const struct rn_image_info *info) {
+    bool there = info->located, north = fabs(info->located_at[0]) <= 90,
+         east = fabs(info->located_at[1]) <= 180, high = isfinite(info->located_at[2]);
+    if (info->orientation < 1 || info->orientation > 8) wrong("an orientation that there is not");
+    if (!north || !east || !high) wrong("a place that there is not");
+    if (!there && (info->located_at[0] != 0 || info->located_at[1] != 0))
+        wrong("a place that is not said");
+}
+
+static void run_exif(const uint8_t *bytes, size_t size) {
+    struct rn_image_info info = {.width = 1, .height = 1};
+    rn_exif_read(bytes, size, &info);
+    check_info(&info);
+}
+
+// A photograph's file: what its header says, and then what it holds, as it is and made smaller, and
+// a copy without what is not the picture, of the same size and way up.
+static void run_photo(const uint8_t *bytes, size_t size) {
+    const struct rn_image_limits limits = {1024, 1024, 1 << 18, 1 << 20};
+    struct rn_image image;
+    struct rn_image_info info, copied;
+    struct rn_error err = {0};
+    uint8_t *copy;
+    size_t copy_size;
+    int times;
+    put("photo", bytes, size);
+    enum rn_status status = rn_image_probe(place("photo"), &limits, &info, &err);
+    check_error(status, &err);
+    if (status != RN_OK) return;
+    check_info(&info);
+    status = rn_image_read_smaller(place("photo"), &limits, 4, &image, &times, &err);
+    check_error(status, &err);
+    if (status != RN_OK) return;
+    if (image.width * times != info.width || image.height * times != info.height)
+        wrong("a picture of another size than its header says");
+    rn_image_finish(&image);
+    status = rn_image_strip(place("photo"), &limits, &copy, &copy_size, &err);
+    check_error(status, &err);
+    if (status != RN_OK) return;
+    put("photo", copy, copy_size);
+    if (rn_image_probe(place("photo"), &limits, &copied, &err) != RN_OK)
+        wrong("a copy that cannot be read");
+    else if (copied.width != info.width || copied.height != info.height || copied.located)
+        wrong("a copy of another size, or that tells where it was taken");
+    free(copy);
+}
+
 // ---- datasets ---------------------------------------------------------------------------------
 
 static void make_photographs(void) {
@@ -488,6 +536,8 @@ const struct target targets[] = {
     {"path", run_path, 1 << 14},
     {"path-file", run_path_file, 1 << 13},
     {"image", run_image, 1 << 14},
+    {"photo", run_photo, 1 << 14},
+    {"exif", run_exif, 1 << 12},
     {"native", run_native, 1 << 14},
     {"multiscale", run_multiscale, 1 << 14},
     {"blender", run_blender, 1 << 14},
