@@ -214,6 +214,7 @@ enum rn_status rn_control_create(const struct rn_control_options *options, struc
                              : rn_ring_create(RN_RING_EVENTS, RN_RING_BYTES, &control->ring, err);
     if (status == RN_OK) status = adopt_all(control, err);
     if (status == RN_OK) {
+        rn_frames_clear(control);
         if (executor->watch != NULL) executor->watch(executor, on_news, control);
         probe(control);
         control->thread_runs = pthread_create(&control->thread, NULL, supervise, control) == 0;

@@ -74,6 +74,46 @@ static int64_t clear_and_count(const char *path) {
     return bytes;
 }
 
+static bool has_rests(const char *path) {
+    bool found = false;
+    struct dirent *entry;
+    DIR *folder = opendir(path);
+    if (folder == NULL) return false;
+    while (!found && (entry = readdir(folder)) != NULL)
+        found = is_rest(entry->d_name);
+    closedir(folder);
+    return found;
+}
+
+static void clear_over(struct rn_control *control, struct rn_job_row *row) {
+    struct rn_error err = {0};
+    char *kept = rn_store_path(control->store, "jobs/%s/frames", row->id);
+    bool over = rn_job_is_over(row->state) && rn_task_find(control, row->id) == NULL;
+    if (kept != NULL && over && has_rests(kept)) {
+        row->size_bytes = clear_and_count(kept);
+        rn_log(RN_LOG_INFO, "what an earlier daemon left half written of job %s is removed",
+               row->id);
+        if (rn_store_update(control->store, &rn_jobs_table, row, &err) != RN_OK)
+            rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
+    }
+    free(kept);
+}
+
+void rn_frames_clear(struct rn_control *control) {
+    static const enum rn_job_type types[] = {RN_JOB_PATH, RN_JOB_EXPORT};
+    for (size_t i = 0; i < sizeof types / sizeof types[0]; i++) {
+        struct rn_query query = {.equal = {{"type", rn_job_type_names[types[i]]}}};
+        struct rn_error err = {0};
+        void *rows = NULL;
+        size_t count = 0;
+        if (rn_store_list(control->store, &rn_jobs_table, &query, &rows, &count, &err) != RN_OK)
+            rn_log(RN_LOG_WARN, "what is left of jobs cannot be listed: %s", err.text);
+        for (size_t k = 0; k < count; k++)
+            clear_over(control, &((struct rn_job_row *)rows)[k]);
+        rn_rows_finish(&rn_jobs_table, rows, count);
+    }
+}
+
 // They are in the result.
 static void drop_scores(struct rn_control *control, const struct rn_task *task) {
     struct places places;

@@ -347,6 +347,9 @@ enum rn_status rn_frames_lend(struct rn_control *control, const struct rn_task *
                               struct rn_error *err) RN_MUST_CHECK;
 // And back, nothing where none are lent; counts their bytes.
 void rn_frames_take_back(struct rn_control *control, struct rn_task *task);
+// Before anything runs: of jobs that are over, what was left half written by a daemon that did not
+// yet remove it at their end.
+void rn_frames_clear(struct rn_control *control);
 // What a path job that is over has made becomes what another begins with: links, so that both have
 // it. Before the other is scheduled. What cannot be linked is made anew.
 void rn_frames_hand_on(struct rn_control *control, const char *from, const char *to);

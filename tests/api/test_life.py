@@ -353,8 +353,14 @@ STORES = sorted((Path(__file__).parent / "stores").glob("*.tar.xz"))
 
 @pytest.mark.parametrize("store", STORES, ids=lambda path: path.name.split(".")[0])
 def test_older_stores_are_brought_up_to_date(programs, tmp_path, store):
-    """What each earlier layout held is there, is shown and rendered, and can be added to."""
+    """What each earlier layout held is there, is shown and rendered, and can be added to. What a crash
+    had left half written of a job that is over is gone."""
     subprocess.run(["tar", "-C", tmp_path, "-xJf", store], check=True)
+    frames = next((tmp_path / "data" / "jobs").glob("*/frames/00000.png")).parent
+    whole = sorted(path.name for path in frames.iterdir())
+    rests = (".00002.png.77-1.tmp", ".part-4", ".film.mp4", "scene.safetensors.partial")
+    for name in rests:
+        (frames / name).write_bytes(bytes(100000))
     for _ in range(2):  # the second start finds nothing to do
         with Daemon(*programs, tmp_path / "data") as daemon:
             assert "no record" not in daemon.log_text() and "WARN" not in daemon.log_text().upper()
@@ -366,6 +372,7 @@ def test_older_stores_are_brought_up_to_date(programs, tmp_path, store):
             jobs = {item["type"]: item for item in daemon.get("/v1/jobs").json["items"]}
             assert {item["state"] for item in jobs.values()} == {"succeeded"}
             assert frames_of(daemon, jobs["path"]["id"]) == 3
+            assert sorted(path.name for path in frames.iterdir()) == whole
             assert daemon.get(f"/v1/jobs/{jobs['path']['id']}/frames/1").status == 200
             assert daemon.get(f"/v1/jobs/{jobs['train']['id']}/metrics").json["items"]
             assert len(daemon.get("/v1/scenes/ready/evaluations").json["items"]) == 1
