@@ -122,6 +122,21 @@ def test_pax_names(make_daemon, tmp_path):
         assert job["state"] == "succeeded", job
 
 
+@pytest.mark.parametrize("name", [b"images/caf\xe9.png", b"../x" + "é".encode() * 700],
+                         ids=["latin-1", "long"])
+def test_names_that_are_not_utf8_are_refused_with_the_reason(make_daemon, name):
+    """At once: the refusal quotes the name, with what is not UTF-8, or is cut in a character, made so."""
+    entry = tarfile.TarInfo(name.decode("latin-1"))
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w", format=tarfile.GNU_FORMAT, encoding="latin-1") as tar:
+        tar.addfile(entry)
+    daemon = make_daemon()
+    reply = daemon.post("/v1/datasets", body=archive.getvalue(), query={"name": "odd"}, headers=TAR)
+    job = daemon.wait(reply.json["id"])
+    assert job["attempt"] == 1 and job["problem"]["status"] == 422, job
+    assert "an entry's name must be relative, UTF-8" in job["problem"]["detail"]
+
+
 def test_frames_are_lent_to_the_runner(make_daemon, photographs):
     """While a path is rendered its frames lie in the scene's folder, all that its runner may write."""
     daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "3"})

@@ -9,6 +9,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
+#include "common/base/utf8.h"
 
 void rn_link_init(struct rn_link *link, int fd) {
     *link = (struct rn_link){.said_ns = rn_clock_ns()};
@@ -197,6 +198,10 @@ void rn_link_fail(struct rn_link *link, const char *job, int64_t request,
     snprintf(failed.status, sizeof failed.status, "%s", rn_status_name(err->status));
     snprintf(failed.where, sizeof failed.where, "%s", err->where);
     snprintf(failed.text, sizeof failed.text, "%s", err->text);
+    // They may quote a stranger's bytes, or be cut in a character; a message is UTF-8 or is not
+    // sent.
+    rn_utf8_clean(failed.where);
+    rn_utf8_clean(failed.text);
     if (*job) rn_log(RN_LOG_INFO, "job %s: %s: %s: %s", job, failed.status, err->where, err->text);
     rn_link_post(link, RN_WIRE_FAILED, &failed, NULL, 0);
 }
