@@ -85,6 +85,7 @@ static void put_masks(bool object) {
             mask.pixels[4 * i + 3] = colour[3] = 255;
         }
         image.has_alpha = mask.has_alpha = false;
+        free(frame->mask_path);
         ck_assert_int_gt(
             asprintf(&frame->mask_path, "%.*s_mask.png", (int)strlen(frame->path) - 4, frame->path),
             0);
