@@ -36,6 +36,9 @@ static enum rn_status open_picture(const uint8_t *bytes, size_t size_bytes, cons
                                    struct heif_image_handle **ret_handle, struct rn_error *err) {
     struct heif_context *context = heif_context_alloc();
     if (!context) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the HEIC");
+    // A grid that is its own tile is followed by the library without end: by this thread until its
+    // stack is full, not by ever more threads.
+    heif_context_set_max_decoding_threads(context, 0);
     struct heif_error problem =
         heif_context_read_from_memory_without_copy(context, bytes, size_bytes, NULL);
     if (problem.code == heif_error_Ok)
