@@ -272,16 +272,21 @@ START_TEST(more_than_memory_is_to_hold) {
 }
 END_TEST
 
-static long file_kib(void) {
+// A number of /proc/self/status, by its line: "RssFile: %ld".
+static long status_kib(const char *line_of) {
     char line[256];
-    long pages = -1;
+    long kib = -1;
     FILE *file = fopen("/proc/self/status", "r");
     ck_assert_ptr_nonnull(file);
     while (fgets(line, sizeof line, file))
-        if (sscanf(line, "RssFile: %ld", &pages) == 1) break;
+        if (sscanf(line, line_of, &kib) == 1) break;
     fclose(file);
-    ck_assert_int_ge(pages, 0);
-    return pages;
+    ck_assert_int_ge(kib, 0);
+    return kib;
+}
+
+static long file_kib(void) {
+    return status_kib("RssFile: %ld");
 }
 
 #define HELD_MIB 4L
@@ -407,15 +412,7 @@ START_TEST(scales_give_pages_back) {
 END_TEST
 
 static double own_bytes(void) {
-    char line[256];
-    long own = -1;
-    FILE *file = fopen("/proc/self/status", "r");
-    ck_assert_ptr_nonnull(file);
-    while (fgets(line, sizeof line, file))
-        if (sscanf(line, "RssAnon: %ld", &own) == 1) break;
-    fclose(file);
-    ck_assert_int_ge(own, 0);
-    return (double)own * 1024;
+    return (double)status_kib("RssAnon: %ld") * 1024;
 }
 
 // What a training is said to need beside its pixels is what it takes at most, in blocks of pixels
