@@ -204,11 +204,7 @@ def test_an_upload_whose_view_was_left_is_told_and_can_be_cancelled(page, fake, 
     assert not api.world.datasets and page.complaints() == []
 
 
-def test_an_upload_that_fails_after_its_view_was_left_says_why(page, fake, folder):
-    api = fake("empty")
-    choose(page, api, folder)
-    page.says("5 train", ".preview .facts")
-    page.run("""
+NAMED = """
 const {api, Problem} = await load('api.js');
 const {beginUpload, sendPart} = api;
 let named = null;  // the form's; what is looked at before has no name, and may be sent meanwhile
@@ -217,6 +213,14 @@ api.beginUpload = async (body, signal) => {
   if (body.name) named = upload.id;
   return upload;
 };
+"""
+
+
+def test_an_upload_that_fails_after_its_view_was_left_says_why(page, fake, folder):
+    api = fake("empty")
+    choose(page, api, folder)
+    page.says("5 train", ".preview .facts")
+    page.run(NAMED + """
 api.sendPart = (id, ...rest) => id !== named ? sendPart(id, ...rest) : new Promise((_, refuse) => {
   window.fail = () => refuse(new Problem(413, {title: 'Too large', detail: 'no more is taken'}));
 });""")
@@ -234,17 +238,9 @@ def test_an_upload_goes_on_where_a_full_disk_left_it(page, fake, folder):
     api = fake("empty")
     choose(page, api, folder)
     page.says("5 train", ".preview .facts")
-    page.run("""
-const {api, Problem} = await load('api.js');
-const {beginUpload, sendPart} = api;
-let named = null;
+    page.run(NAMED + """
 window.full = true;
 window.sent = [];
-api.beginUpload = async (body, signal) => {
-  const upload = await beginUpload(body, signal);
-  if (body.name) named = upload.id;
-  return upload;
-};
 api.sendPart = async (id, offset, part, ...rest) => {
   if (id !== named || !window.full) {
     if (id === named) window.sent.push(offset);
