@@ -87,13 +87,28 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     first = start_of(ball, "ball")["camera"]
     assert turn["width"] == first["width"]
     assert distance(turn["keys"][0], made) == pytest.approx(distance(first, made))
-    assert "photographs are not here" in \
-        elsewhere.run("curve", "light", "--measure", code=FAILED).stderr
     assert "--dataset" in elsewhere.run("export", "light", "-o", "p.ply", code=USAGE).stderr
     assert "light" in elsewhere.run("scenes").stdout
     # As its own file, once more: nothing is lost twice.
     elsewhere.run("import", file, "--name", "again")
     assert elsewhere.json("show", "again")["parameters_sha256"] == made["parameters_sha256"]
+
+
+def test_a_curve_without_photographs(ball, elsewhere, exported, tmp_path):
+    """Against the full pictures from around: of the scene, not of what lies beside it."""
+    elsewhere.run("import", exported[0], "--name", "measured")
+    curve = elsewhere.json("curve", "measured", "--measure", "--views", 4)
+    *points, full = curve["points"]
+    assert not curve["photographs"] and curve["views"] == 4 and curve["around"] == [] and points
+    assert {point["psnr"] for point in curve["points"]} == {None} and full["psnr_full"] is None
+    assert [point["psnr_full"] for point in points] == sorted(point["psnr_full"] for point in points)
+    seen = ball.json("curve", "ball", "--measure", "--views", 4)
+    assert 0.6 < full["samples"] / seen["points"][-1]["samples"] < 1.6
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
+    told = elsewhere.json("render", "measured", "--camera", tmp_path / "camera.json", "--quality", 0,
+                          "-o", tmp_path / "rough.png")
+    assert told["curve"] == "measured" and told["expected_psnr"] > 0
+    assert "against the full picture" in elsewhere.run("curve", "measured").stdout
 
 
 def test_a_budget_is_kept(ball, tmp_path):

@@ -41,6 +41,8 @@ def test_it_comes_back(shared, file):
     assert reply.status == 409 and "photographs are not here" in reply.json["detail"]
     eval_job = shared.wait(shared.submit(type="eval", scene="alone"))
     assert eval_job["state"] == "failed"
+    curve = shared.wait(shared.post("/v1/scenes/alone/curve", {"views": 1}).json["id"])
+    assert curve["state"] == "succeeded" and not curve["result"]["photographs"], curve
     assert "without a dataset" in eval_job["problem"]["detail"]
     assert send(shared, file, name="alone").status == 409
 

@@ -13,6 +13,7 @@
 #include "common/image/metrics.h"
 #include "proto/folder.h"
 #include "server/runner/field/budget.h"
+#include "server/runner/field/turned.h"
 #include "server/runner/field/work.h"
 #include "server/runner/link/join.h"
 
@@ -50,8 +51,9 @@ struct curve_work {
     struct rn_work work;
     struct rn_curve_options options;
     struct state *state;
-    const struct rn_frame *frames[MOST_VIEWS]; // that ways are measured on,
+    struct rn_camera cameras[MOST_VIEWS]; // that ways are measured on,
     int views;
+    const struct rn_frame *frames[MOST_VIEWS];     // these views' photographs, where there are any,
     const struct rn_frame *around[RN_CURVE_VIEWS]; // and whose full pictures are
     int around_count;
     bool photographs;
@@ -118,7 +120,7 @@ static void choose_finalists(struct state *state) {
 // ---- views ----------------------------------------------------------------------------------
 
 static struct rn_camera view_camera(const struct curve_work *curve, int view) {
-    struct rn_camera camera = curve->frames[view]->camera;
+    struct rn_camera camera = curve->cameras[view];
     double pixels = (double)camera.width * camera.height;
     if (pixels <= MOST_PIXELS) return camera;
     double scale = sqrt(MOST_PIXELS / pixels);
@@ -307,21 +309,38 @@ static void choose_around(struct curve_work *curve, const struct rn_dataset *dat
     curve->around_count = count;
 }
 
-static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
-    struct curve_work *curve = (struct curve_work *)work;
-    enum rn_status status = rn_host_need_sound_dataset(work->host, err);
-    if (status) return status;
+// The views of the dataset that were not trained on, else those that were, else its own.
+static enum rn_status choose_views(struct curve_work *curve, const struct rn_field *field,
+                                   struct rn_error *err) {
     int wanted = (int)rn_int_or(curve->options.views, VIEWS);
-    const struct rn_dataset *dataset = work->host->dataset;
-    curve->views = rn_work_choose_views(dataset, RN_SPLIT_TEST, wanted, curve->frames);
+    struct rn_host *host = curve->work.host;
+    if (!*host->place.dataset_folder) { // the scene came as a file
+        struct rn_field_info info;
+        rn_field_describe(field, &info);
+        curve->views = wanted;
+        rn_turned_cameras(&info, wanted, curve->cameras);
+        return RN_OK;
+    }
+    enum rn_status status = rn_host_need_sound_dataset(host, err);
+    if (status) return status;
+    curve->views = rn_work_choose_views(host->dataset, RN_SPLIT_TEST, wanted, curve->frames);
     curve->photographs = curve->views > 0;
     if (!curve->photographs)
-        curve->views = rn_work_choose_views(dataset, RN_SPLIT_TRAIN, wanted, curve->frames);
+        curve->views = rn_work_choose_views(host->dataset, RN_SPLIT_TRAIN, wanted, curve->frames);
+    for (int i = 0; i < curve->views; i++)
+        curve->cameras[i] = curve->frames[i]->camera;
+    return RN_OK;
+}
+
+static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
+    struct curve_work *curve = (struct curve_work *)work;
+    enum rn_status status = choose_views(curve, field, err);
+    if (status) return status;
     if (curve->views == 0)
         return rn_error_set(err, RN_ERROR_INVALID, "#/scene", "its dataset has no views");
-    const struct rn_camera camera = view_camera(curve, 0), taken = curve->frames[0]->camera;
+    const struct rn_camera camera = view_camera(curve, 0), taken = curve->cameras[0];
     curve->photographs &= camera.width == taken.width && camera.height == taken.height;
-    if (curve->photographs) choose_around(curve, dataset, field);
+    if (curve->photographs) choose_around(curve, work->host->dataset, field);
     work->total =
         WAYS + (size_t)(curve->views * FINALISTS * rounds_of(curve)) + (size_t)curve->around_count;
     curve->state = calloc(1, sizeof *curve->state);
