@@ -41,6 +41,14 @@ extern const struct rn_codec rn_codec_png, rn_codec_jpeg, rn_codec_webp, rn_code
 enum rn_status rn_image_check_size(int width, int height, const struct rn_image_limits *limits,
                                    const char *where, struct rn_error *err) RN_MUST_CHECK;
 
+// Whether the pictures of a HEIC or AVIF file, whole or its beginning, are made of a bounded number
+// of parts (derived pictures of their sources, pictures with their alpha channels), none of itself:
+// libheif 1.15 follows them without end, and by its caller's stack. Allocates by the references
+// that the file has, at most 65,536. RN_ERROR_INVALID, RN_ERROR_LIMIT, RN_ERROR_NO_MEMORY. What
+// else is wrong with the file, and what is cut off, is not looked at.
+enum rn_status rn_heif_check_parts(const uint8_t *bytes, size_t size_bytes, const char *where,
+                                   struct rn_error *err) RN_MUST_CHECK;
+
 // What an EXIF block, which begins with the TIFF header, says of `orientation`, `camera_key` and
 // `located_at`; 1, 0 and not located where it says nothing or is damaged.
 void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info);

@@ -34,10 +34,12 @@ static enum rn_status failed(struct heif_error problem, const char *where, struc
 static enum rn_status open_picture(const uint8_t *bytes, size_t size_bytes, const char *where,
                                    struct heif_context **ret_context,
                                    struct heif_image_handle **ret_handle, struct rn_error *err) {
+    enum rn_status status = rn_heif_check_parts(bytes, size_bytes, where, err);
+    if (status) return status;
     struct heif_context *context = heif_context_alloc();
     if (!context) return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the HEIC");
-    // A grid that is its own tile is followed by the library without end: by this thread until its
-    // stack is full, not by ever more threads.
+    // Whoever reads many photographs has threads of its own; the library's would only take turns
+    // with them, and where none can be made they end the process.
     heif_context_set_max_decoding_threads(context, 0);
     struct heif_error problem =
         heif_context_read_from_memory_without_copy(context, bytes, size_bytes, NULL);
@@ -47,7 +49,7 @@ static enum rn_status open_picture(const uint8_t *bytes, size_t size_bytes, cons
         *ret_context = context;
         return RN_OK;
     }
-    enum rn_status status = failed(problem, where, err);
+    status = failed(problem, where, err);
     heif_context_free(context);
     return status;
 }

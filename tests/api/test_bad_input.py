@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from support import heif
 from support.checked import Daemon, make_tar
 from support.client import INVALID, OK
 from support.photographs import pose, write_dataset
@@ -85,6 +86,7 @@ SCALED = [[2 * value for value in row] for row in pose(0)[:3]] + [[0, 0, 0, 1]]
 MIRRORED = [[-row[0], *row[1:]] for row in pose(0)[:3]] + [[0, 0, 0, 1]]
 NOT_A_NUMBER = json.loads(json.dumps(pose(0)).replace("0.0", "0", 1))
 NOT_A_NUMBER[1][3] = float("nan")
+GRID = (1, "grid", heif.grid(1, 1, 64, 64), [heif.size(64, 64), heif.bits(8, 8, 8)])
 HUGE = png(100000, 100000, 8, 6, 0, b"\0" * 100)
 
 # What is spoilt, how, where the problem is said to be, and a word of what is said. An image that
@@ -97,6 +99,15 @@ IMAGES = {
     "empty": (raw(b""), FIRST, ""),
     "no image": (raw(b"#!/bin/sh\n" * 20), FIRST, ""),
     "huge": (raw(HUGE), FIRST, "100000"),
+    "HEIC its own tile": (raw(heif.file([GRID], [("dimg", 1, [1])])), FIRST, "made of itself"),
+    "HEIC tiles of each other": (raw(heif.file(
+        [GRID, (2, *GRID[1:])], [("dimg", 1, [2]), ("dimg", 2, [1])])), FIRST, "made of itself"),
+    "HEIC alpha of its alpha": (raw(heif.file(
+        [heif.tile(i, 64, 64, heif.alpha()) for i in (1, 2)],
+        [("auxl", 1, [2]), ("auxl", 2, [1])])), FIRST, "made of itself"),
+    "HEIC tiles of tiles": (raw(heif.file(
+        [(i, "grid", heif.grid(128, 128, 8192, 8192), GRID[3]) for i in (1, 2, 3)] + [heif.tile(4, 8, 8)],
+        [("dimg", i, [i + 1] * 128 * 128) for i in (1, 2, 3)])), FIRST, "65536 parts"),
     "cmyk": (lambda folder: (saved("CMYK", "jpeg")(folder),
                              image(folder).rename(image(folder, "r_0.jpg")),
                              set_path("./train/r_0.jpg")(folder)), FIRST, "CMYK"),
@@ -127,6 +138,7 @@ GOOD = {
         for w, h in ((2, 2), (2, 2), (4, 2), (4, 4), (8, 4), (8, 8), (16, 8))))),
     "palette": saved("P"),
     "grey": saved("L"),
+    "HEIC of tiles": raw(heif.tiled(4, 3, 250, 190)),
     "spaces and unicode": lambda folder: (
         image(folder).rename(image(folder, "zwölf Äpfel 日本.png")),
         set_path("./train/zwölf Äpfel 日本")(folder)),
