@@ -445,6 +445,9 @@ static const struct rn_field_spec path_result[] = {
     RN_F_INT(S, step, RN_REQUIRED, 0, INFINITY),
     RN_F_NUMBER(S, render_ms_median, RN_REQUIRED | RN_NULLABLE, 0, INFINITY),
     RN_F_TEXT(S, effects, 0, NULL),
+    RN_F_TEXT(S, setting, 0, NULL),
+    RN_F_NUMBER(S, expected_psnr, 0, -INFINITY, INFINITY),
+    RN_F_NUMBER(S, expected_spread, 0, 0, INFINITY),
     RN_F_TEXT(S, film, 0, NULL),
     RN_F_INT(S, film_bytes, 0, 0, INFINITY),
 };
@@ -507,6 +510,7 @@ static const struct rn_field_spec eval_result[] = {
     RN_F_OBJECTS(S, scales, scale_count, RN_REQUIRED, &rn_scale_score_table, 16),
     RN_F_OBJECTS(S, per_view, view_count, RN_REQUIRED, &rn_view_result_table, 1e6),
     RN_F_NUMBER(S, render_ms_median, RN_REQUIRED, 0, INFINITY),
+    RN_F_TEXT(S, setting, 0, NULL),
     RN_F_OBJECT(S, protocol, RN_REQUIRED, &rn_protocol_table),
 };
 const struct rn_table rn_eval_result_table = RN_TABLE(S, "evaluation result", eval_result);

@@ -166,9 +166,11 @@ extern const struct rn_table rn_train_result_table;
 struct rn_path_result {
     int64_t frames, width, height, step;
     double render_ms_median;
-    char effects[96];   // of the camera, that were on in any frame; "" = absent
-    char film[16];      // "film.mp4"; "" = absent
-    int64_t film_bytes; // absent with it
+    char effects[96]; // of the camera, that were on in any frame; "" = absent
+    char setting[96]; // what its budget became, rn_curve_setting_text; "" = absent: it had none
+    double expected_psnr, expected_spread; // of it, by the curve; NAN = absent
+    char film[16];                         // "film.mp4"; "" = absent
+    int64_t film_bytes;                    // absent with it
 };
 extern const struct rn_table rn_path_result_table;
 
@@ -209,6 +211,7 @@ struct rn_eval_result {
     struct rn_view_result *per_view; // owned
     size_t view_count;
     double render_ms_median;
+    char setting[96]; // as in rn_path_result
     struct rn_protocol protocol;
 };
 extern const struct rn_table rn_view_result_table;

@@ -177,15 +177,28 @@ struct path_summary {
     char job[RN_ID_MAX];
     char *folder, *film; // borrowed
     int64_t frames, bytes;
+    char setting[96]; // as in rn_path_result, below too
+    double expected_psnr, expected_spread;
 };
 static const struct rn_field_spec path_summary_fields[] = {
     RN_F_TEXT(struct path_summary, job, RN_REQUIRED, NULL),
     RN_F_STRING(struct path_summary, folder, 0, 4096),
     RN_F_STRING(struct path_summary, film, 0, 4096),
     RN_F_INT(struct path_summary, frames, RN_REQUIRED, 0, RN_PATH_MAX_FRAMES),
-    RN_F_INT(struct path_summary, bytes, 0, 0, INFINITY)};
+    RN_F_INT(struct path_summary, bytes, 0, 0, INFINITY),
+    RN_F_TEXT(struct path_summary, setting, 0, NULL),
+    RN_F_NUMBER(struct path_summary, expected_psnr, 0, -INFINITY, INFINITY),
+    RN_F_NUMBER(struct path_summary, expected_spread, 0, 0, INFINITY)};
 static const struct rn_table path_summary_table =
     RN_TABLE(struct path_summary, "summary", path_summary_fields);
+
+// What a budget became, after all else.
+static void print_setting(const struct rn_path_result *result) {
+    if (*result->setting) printf("; by what was asked for: %s", result->setting);
+    if (!isnan(result->expected_psnr)) printf(", %.1f dB expected", result->expected_psnr);
+    if (!isnan(result->expected_spread)) printf(" +- %.1f", result->expected_spread);
+    putchar('\n');
+}
 
 static void print_summary(bool json, const struct frames *frames,
                           const struct rn_path_result *result) {
@@ -194,18 +207,22 @@ static void print_summary(bool json, const struct frames *frames,
     struct path_summary summary = {.folder = is_film ? NULL : out,
                                    .film = is_film ? out : NULL,
                                    .frames = result->frames,
+                                   .expected_psnr = result->expected_psnr,
+                                   .expected_spread = result->expected_spread,
                                    .bytes = is_film ? result->film_bytes : RN_ABSENT};
     snprintf(summary.job, sizeof summary.job, "%s", frames->job);
+    memcpy(summary.setting, result->setting, sizeof summary.setting);
     char *text = json ? rn_api_encode(&path_summary_table, &summary) : NULL;
     rn_format_bytes((double)result->film_bytes, bytes, sizeof bytes);
     if (text)
         puts(text);
     else if (!json && is_film)
-        printf("%s: %lld frame%s of %lldx%lld, %s\n", out, (long long)result->frames,
+        printf("%s: %lld frame%s of %lldx%lld, %s", out, (long long)result->frames,
                result->frames == 1 ? "" : "s", (long long)result->width, (long long)result->height,
                bytes);
     else if (!json)
-        printf("%zu frame%s in %s\n", frames->written, frames->written == 1 ? "" : "s", out);
+        printf("%zu frame%s in %s", frames->written, frames->written == 1 ? "" : "s", out);
+    if (!json) print_setting(result);
     free(text);
 }
 

@@ -158,7 +158,7 @@ struct render_summary {
     double render_ms;
     char scale[48]; // of a heat map's colours: "0 40 samples"
     // Of a budget; absent without one. client_ms: until the answer was here.
-    double asked_ms, spent_ms, client_ms, expected_psnr, expected_spread;
+    double asked_ms, spent_ms, queue_ms, encode_ms, client_ms, expected_psnr, expected_spread;
     char setting[96], curve[16];
     int late;
 };
@@ -170,6 +170,8 @@ static const struct rn_field_spec render_summary_fields[] = {
     RN_F_TEXT(struct render_summary, scale, 0, NULL),
     RN_F_NUMBER(struct render_summary, asked_ms, 0, 0, INFINITY),
     RN_F_NUMBER(struct render_summary, spent_ms, 0, 0, INFINITY),
+    RN_F_NUMBER(struct render_summary, queue_ms, 0, 0, INFINITY),
+    RN_F_NUMBER(struct render_summary, encode_ms, 0, 0, INFINITY),
     RN_F_NUMBER(struct render_summary, client_ms, 0, 0, INFINITY),
     RN_F_TEXT(struct render_summary, setting, 0, NULL),
     RN_F_TEXT(struct render_summary, curve, 0, NULL),
@@ -183,11 +185,19 @@ static double number_in(const char *header) {
     return *header ? atof(header) : NAN;
 }
 
+// A duration of Server-Timing, "queue;dur=1.5, render;dur=20.1", milliseconds; NAN: there is none.
+static double timing_in(const char *header, const char *name) {
+    char begin[32];
+    snprintf(begin, sizeof begin, "%s;dur=", name);
+    const char *found = strstr(header, begin);
+    return found ? atof(found + strlen(begin)) : NAN;
+}
+
 static void print_budget(const struct render_summary *summary) {
     if (!*summary->setting) return;
     if (!isnan(summary->asked_ms)) printf(", asked for %g ms", summary->asked_ms);
-    printf(", spent %.1f ms (here %.1f ms): %s", summary->spent_ms, summary->client_ms,
-           summary->setting);
+    printf(", spent %.1f ms (waited %.1f, encoded in %.1f; here %.1f): %s", summary->spent_ms,
+           summary->queue_ms, summary->encode_ms, summary->client_ms, summary->setting);
     if (!isnan(summary->expected_psnr)) printf(", %.1f dB expected", summary->expected_psnr);
     if (!isnan(summary->expected_spread)) printf(" +- %.1f", summary->expected_spread);
     printf(" by the %s curve", strcmp(summary->curve, "preset") == 0  ? "preset's"
@@ -207,14 +217,17 @@ static void print_scale(const struct render_summary *summary) {
 
 static void print_render(struct rn_client *client, const char *file, double client_ms,
                          const struct rn_http_reply *reply) {
-    const char *timing = strstr(reply->server_timing, "render;dur=");
+    const char *timing = reply->server_timing;
+    bool budget = *reply->budget.setting;
     struct render_summary summary = {.file = (char *)file,
                                      .step = *reply->step ? atoll(reply->step) : RN_ABSENT,
                                      .at = number_in(reply->at),
-                                     .render_ms = timing ? atof(timing + 11) : NAN,
+                                     .render_ms = timing_in(timing, "render"),
                                      .asked_ms = number_in(reply->budget.asked_ms),
                                      .spent_ms = number_in(reply->budget.spent_ms),
-                                     .client_ms = *reply->budget.setting ? client_ms : NAN,
+                                     .queue_ms = budget ? timing_in(timing, "queue") : NAN,
+                                     .encode_ms = budget ? timing_in(timing, "encode") : NAN,
+                                     .client_ms = budget ? client_ms : NAN,
                                      .expected_psnr = number_in(reply->budget.expected_psnr),
                                      .expected_spread = number_in(reply->budget.expected_spread),
                                      .late = *reply->budget.late ? atoi(reply->budget.late) : -1};
@@ -230,7 +243,7 @@ static void print_render(struct rn_client *client, const char *file, double clie
     printf("%s", file);
     if (*reply->step) printf(": step %s", reply->step);
     if (*reply->at) printf(", after %.1f s of training", summary.at);
-    if (timing) printf(", rendered in %.1f ms", summary.render_ms);
+    if (!isnan(summary.render_ms)) printf(", rendered in %.1f ms", summary.render_ms);
     print_scale(&summary);
     print_budget(&summary);
     putchar('\n');
@@ -357,6 +370,8 @@ static enum rn_exit print_evaluation(const char *json) {
            (long long)result.views, rn_split_names[result.protocol.split],
            result.views == 1 ? "" : "s", result.psnr_spread, result.ssim_spread,
            result.render_ms_median);
+    if (*result.setting)
+        printf("by what was asked for, all were rendered with: %s\n", result.setting);
     if (isfinite(result.psnr_fitted))
         printf(
             "with what each photograph may have of its own (exposure, pose) fitted on one half and "

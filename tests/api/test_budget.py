@@ -136,8 +136,72 @@ def test_a_job_keeps_what_its_budget_became(shared):
         job = shared.wait(shared.submit(type=kind, scene="ready", options={"quality": 0}, **more))
         assert job["state"] == "succeeded", job
         assert job["options"]["quality"] == 0 and job["options"]["subsample"] == 8
+        assert job["result"]["setting"] == "stop=0.1,subsample=8"
         job = shared.wait(shared.submit(type=kind, scene="ready", options={"quality": 100}, **more))
         assert job["options"]["tolerance"] == 0 and "subsample" not in job["options"]
+        assert job["result"]["setting"] == "full"
+        job = shared.wait(shared.submit(type=kind, scene="ready", options={"subsample": 2}, **more))
+        assert "setting" not in job["result"]  # it was asked for itself
+
+
+@pytest.mark.parametrize("kind, more", [("path", {"camera_path": {**PATH, "fps": 30}}), ("eval", {})])
+@pytest.mark.parametrize("killed", ["runner", "daemon"])
+def test_what_a_budget_became_stays_it(make_daemon, photographs, kind, more, killed):
+    """Whatever the curve says when a runner goes on where one was killed."""
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "1"})
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    daemon.hold()
+    job = daemon.submit(type=kind, scene="ready", options={"quality": 0}, **more)
+    became = {"quality": 0, "stop": 0.1, "subsample": 8}
+    daemon.eventually(lambda: became.items() <= daemon.job(job)["options"].items())
+    if killed == "daemon":
+        daemon.stop(signal.SIGKILL)
+    for pid in daemon.runners() if killed == "runner" else ():
+        os.kill(pid, signal.SIGKILL)
+    write_curve(daemon, {"subsample": 16})
+    daemon.let_go_on()
+    if killed == "daemon":
+        daemon.start()
+    record = daemon.wait(job)
+    assert record["state"] == "succeeded" and record["attempt"] == 2, record
+    assert became.items() <= record["options"].items()
+    assert record["result"]["setting"] == "stop=0.1,subsample=8"
+    assert ask(daemon, quality=0).headers["X-Ripnerf-Setting"] == "subsample=16"  # or it would say nothing
+    again = daemon.wait(daemon.submit(type=kind, scene="ready", options={"quality": 0}, **more))
+    assert again["result"]["setting"] == "subsample=16"
+    if kind == "path":
+        assert "expected_psnr" not in record["result"]  # the curve has no such setting
+        assert again["result"]["expected_psnr"] == 20 and again["result"]["expected_spread"] == 0.5
+
+
+def write_curve(daemon, cheapest, **other):
+    """As if it had been measured: the cheapest way and the full picture."""
+    (scene,) = Path(daemon.data).glob("scenes/*")
+    point = {"ms_median": 1, "ms_p95": 1, "psnr": 20, "ssim": 0.9, "psnr_full": 21, "psnr_spread": 0.5,
+             "rays": 1, "samples": 1, "setting": cheapest}
+    record = {"machine": "another", "device": "cpu", "kernels": "none", "threads": 1, "version": "1",
+              "digest": None, "step": 1, "measured_at": "2026-01-01T00:00:00.000Z", "stale": False,
+              "width": 12, "height": 10, "views": 1, "photographs": True, "seconds": 1, "around": [],
+              "points": [point, {**point, "setting": {}, "ms_median": 9, "psnr": 25, "psnr_full": None}],
+              **other}
+    (scene / "curve.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def test_curve_of_another_machine_says_so(quick):
+    """What it was measured on stands in it; what of that is another now is told."""
+    measure(quick, views=1)
+    curve = quick.get("/v1/scenes/ready/curve").json
+    assert curve["machine"] and curve["threads"] >= 1 and curve["version"] and len(curve["digest"]) == 64
+    del curve["points"], curve["around"]
+    for name, other, words in (("machine", "an abacus", "the machine"), ("kernels", "none", "the kernel set"),
+                               ("threads", 1000, "the number of threads"), ("version", "0", "the version"),
+                               ("device", "cuda:9", "the device"), ("digest", "0" * 64, "the scene's parameters")):
+        write_curve(quick, {"subsample": 16}, **{**curve, name: other})
+        told = quick.get("/v1/scenes/ready/curve").json
+        assert told["stale"] and told["stale_because"] == words, told
+    write_curve(quick, {"subsample": 16}, **curve)
+    assert not quick.get("/v1/scenes/ready/curve").json["stale"]
 
 
 def measure(daemon, scene="ready", **options):
@@ -249,6 +313,10 @@ def test_client(shared, build, tmp_path):
     client = Client(build / "client" / "ripnerf", tmp_path, f"http://127.0.0.1:{shared.port}")
     told = client.json("render", "ready", "--view", "test:0", "--within", "500ms", "-o", "a.png")
     assert told["asked_ms"] == 500 and told["curve"] == "preset" and told["client_ms"] > 0
+    parts = told["queue_ms"] + told["render_ms"] + told["encode_ms"]
+    assert 0 < parts <= told["spent_ms"] + 0.2 <= told["client_ms"] + 0.4
+    plain = client.json("render", "ready", "--view", "test:0", "-o", "a.png")
+    assert plain.keys() == {"file", "step", "render_ms"}  # the rest is of a budget alone
     assert told["late"] == (told["spent_ms"] > 500) and told["setting"]
     for wrong in ("0", "-1", "1e9", "abc", "50", "0ms", "50 apples", "61s"):
         out = client.run("render", "ready", "--view", "test:0", f"--within={wrong}", "-o", "b.png",
@@ -256,6 +324,14 @@ def test_client(shared, build, tmp_path):
         assert "with its unit" in out.stderr
     for wrong in ("101", "-1", "abc"):
         client.run("render", "ready", "--view", "test:0", f"--quality={wrong}", "-o", "b.png", code=2)
+    (tmp_path / "path.json").write_text(json.dumps({"path": PATH}), encoding="utf-8")
+    words = client.run("path", "ready", "path.json", "--quality", 0, "-o", "frames").stdout
+    assert "; by what was asked for: stop=0.1,subsample=8, " in words and " dB expected" in words
+    told = client.json("path", "ready", "path.json", "--quality", 100, "-o", "frames", "--overwrite")
+    assert told["setting"] == "full" and told["expected_psnr"] > 0
+    words = client.run("eval", "ready", "--quality", 0).stdout
+    assert "by what was asked for, all were rendered with: stop=0.1,subsample=8" in words
+    assert "asked for" not in client.run("eval", "ready").stdout
     measured = client.json("curve", "ready", "--measure", "--views", "1")
     told = client.run("curve", "ready", "--plot", "curve.svg").stdout
     assert "full" in told and measured["points"][-1]["setting"] == {}

@@ -57,6 +57,7 @@ class World:
         self.fails = {}  # by type of job: the problem that it ends with
         self.doctor = None  # what examining any scene results in
         self.on_render = lambda body: None
+        self.waited_ms = 0.2  # by every picture, as it is told
         if scenario != "empty":
             self.add_dataset("sphere")
         if scenario in ("busy", "failed", "token"):
@@ -445,6 +446,9 @@ class World:
                 "step": 1234,
                 "render_ms_median": 83.0,
             }
+            if "quality" in job["options"]:
+                job["result"] |= {"setting": "stop=0.1,tolerance=0.03", "expected_psnr": 30.4,
+                                  "expected_spread": 0.92}
             if "film" in job["options"]:
                 job["result"] |= {"film": "film.gif", "film_bytes": len(frames[0])}
             self.set_state(job, "succeeded")

@@ -556,7 +556,9 @@ def test_a_budget_is_chosen_on_the_curve_and_the_truth_is_told(page, fake):
     page.says("within 51 ms: about 30.4 dB", "[aria-label='Accuracy against time']")
     page.driver.execute_script(
         "document.querySelector('#budget').dispatchEvent(new Event('change'));")
-    page.says("30.4 dB expected; took", "[aria-label='Accuracy against time']")
+    page.says("30.4 dB ± 0.5 expected; took", "[aria-label='Accuracy against time']")
+    page.says(" of 51 ms (waited 0.2 ms, rendered in ", "[aria-label='Accuracy against time']")
+    page.says(" encoded in 1.1 ms)", "[aria-label='Accuracy against time']")
     page.says("setting tolerance=0.03", "[aria-label='Accuracy against time']")
     size = page.run("const s = document.querySelector('.stage'); const even = (x) => 2 * Math.round(x / 2);"
                     "return `${even(s.clientWidth)} × ${even(s.clientHeight)}`;")
@@ -569,6 +571,20 @@ def test_a_budget_is_chosen_on_the_curve_and_the_truth_is_told(page, fake):
     # stage of another size is not between them.
     page.until(lambda: "· equal" in page.text(".wipe-bar label"), "how far they are apart")
     assert "within_ms" not in asked[-1]
+    assert page.complaints() == []
+
+
+def test_a_picture_that_is_late_says_so(page, fake):
+    api = fake("busy")
+    api.world.curve = measured((0.06, 8, 27.5), (0, 200, 31.2))
+    api.world.waited_ms = 6001  # more than can be asked for
+    page.open(api.url + "#/scene/sphere-draft")
+    page.until(lambda: len(page.all(".cost-chart .dot")) == 2, "the curve's points")
+    page.driver.execute_script(
+        "const s = document.querySelector('#budget'); s.value = 0;"
+        "s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change'));")
+    page.says(" of 5.0 ms (waited 6 s, rendered in ", "[aria-label='Accuracy against time']")
+    page.says(", late; setting", "[aria-label='Accuracy against time']")
     assert page.complaints() == []
 
 

@@ -168,6 +168,7 @@ function renderFacts(response, started) {
     askedMs: number('X-Ripnerf-Asked-Ms'),
     spentMs: number('X-Ripnerf-Spent-Ms'),
     expectedPsnr: number('X-Ripnerf-Expected-Psnr'),
+    expectedSpread: number('X-Ripnerf-Expected-Spread'),
     late: response.headers.get('X-Ripnerf-Late') === '1',
     setting: response.headers.get('X-Ripnerf-Setting') ?? '',
     curve: response.headers.get('X-Ripnerf-Curve') ?? '',

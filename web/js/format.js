@@ -5,6 +5,10 @@ const known = (x) => typeof x === 'number' && Number.isFinite(x);
 
 /** "28.31 dB" */
 export const decibel = (x, digits = 2) => (known(x) ? `${x.toFixed(digits)} dB` : NONE);
+/** A PSNR to expect and how far off it may be: "30.4 dB ± 0.5 expected" */
+export const expectedPsnr = (psnr, spread) => (known(psnr) ?
+    `${decibel(psnr, 1)}${known(spread) ? ` ± ${spread.toFixed(1)}` : ''} expected` :
+    'accuracy not known');
 /** Grouped by thin spaces: "12 400" */
 export const whole = (x) =>
     (known(x) ? Math.round(x).toString().replace(/\B(?=(\d{3})+$)/g, '\u202f') : NONE);

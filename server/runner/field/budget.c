@@ -116,6 +116,29 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
     return RN_OK;
 }
 
+void rn_budget_tell(struct rn_host *host, const struct rn_field *field,
+                    const union rn_setting_value settings[RN_RENDER_SETTINGS],
+                    struct rn_budget_told *ret_told) {
+    struct chosen_curve found;
+    struct rn_curve_setting setting;
+    struct rn_field_info info;
+    char text[sizeof ret_told->setting];
+    double number;
+    *ret_told = (struct rn_budget_told){.expected_psnr = NAN, .expected_spread = NAN};
+    if (rn_budget_of(settings, &number) == RN_BUDGET_NONE) return;
+    memcpy(setting.values, settings, sizeof setting.values);
+    rn_curve_setting_text(&setting, ret_told->setting, sizeof ret_told->setting);
+    rn_field_describe(field, &info);
+    find_curve(host, &found);
+    for (size_t i = 0; i < found.curve.count; i++) {
+        const struct rn_curve_point *point = &found.curve.points[i];
+        rn_curve_setting_text(&point->setting, text, sizeof text);
+        if (strcmp(text, ret_told->setting) != 0) continue;
+        ret_told->expected_psnr = rn_curve_expected(&found.curve, i, info.psnr);
+        if (!isnan(point->psnr)) ret_told->expected_spread = point->psnr_spread;
+    }
+}
+
 // ---- one picture ----------------------------------------------------------------------------
 
 static struct rn_curve_here look_here(const struct chosen_curve *found,

@@ -19,6 +19,17 @@ enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, do
                                 const struct rn_table *table, const void *options,
                                 struct rn_error *err) RN_MUST_CHECK;
 
+// What is told of such a job: the settings that its budget became ("": it had none), and by the
+// curve as it is now, while that has them, the PSNR to expect of its pictures, as they are worth on
+// average, and how far views lie apart; else NAN.
+struct rn_budget_told {
+    char setting[96];
+    double expected_psnr, expected_spread;
+};
+void rn_budget_tell(struct rn_host *host, const struct rn_field *field,
+                    const union rn_setting_value settings[RN_RENDER_SETTINGS],
+                    struct rn_budget_told *ret_told);
+
 // One picture as the request's budget has it: rn_render_within for a time, else the settings that
 // it becomes. Fills what `rendered` says of budgets. `options`: all but the settings are set.
 enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_render *render,

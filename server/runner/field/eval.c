@@ -323,6 +323,9 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
     record.depth_error = middle_depth_error(eval, work->render_ms);
     record.psnr_spread = spread(eval, false, &record.views);
     record.ssim_spread = spread(eval, true, &record.views);
+    struct rn_budget_told told;
+    rn_budget_tell(eval->work.host, field, eval->request.options.settings, &told);
+    memcpy(record.setting, told.setting, sizeof record.setting);
     struct rn_field_info info;
     rn_field_describe(field, &info);
     fill_protocol(eval, &info, &record.protocol);

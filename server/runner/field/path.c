@@ -247,10 +247,14 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
                                     .film_bytes = RN_ABSENT,
                                     .render_ms_median =
                                         rn_numbers_median(work->render_ms, work->rendered)};
-    (void)field;
+    struct rn_budget_told told;
     enum rn_status status = rn_behind_settle(&path->behind, 0, err);
     if (status) return status;
     rn_optics_names(&path->together, record.effects, sizeof record.effects);
+    rn_budget_tell(work->host, field, path->request.options.settings, &told);
+    memcpy(record.setting, told.setting, sizeof record.setting);
+    record.expected_psnr = told.expected_psnr;
+    record.expected_spread = told.expected_spread;
     if (!is_part(path) && path->request.options.film >= 0) status = make_film(path, &record, err);
     if (!status && !is_part(path)) status = rn_manifest_write(path->request.folder, err);
     if (status) return status;

@@ -1,7 +1,7 @@
 // What a picture's accuracy costs in time: the scene's curve, a budget, and what came of it.
 import {api, Problem} from '../api.js';
 import {fill, h, s, text} from '../dom.js';
-import {decibel, milliseconds, plural} from '../format.js';
+import {decibel, expectedPsnr, milliseconds, plural} from '../format.js';
 import {ticks} from '../chart.js';
 import {isActive, isOver, may, means, putJob, watch} from '../store.js';
 import {action, meter, panel, progressWords, toast} from '../ui.js';
@@ -20,6 +20,10 @@ export function expectedWithin(points, ms) {
   const within = points.filter((point) => point.ms_median <= ms && psnrOf(point) !== null);
   return within.length ? Math.max(...within.map(psnrOf)) : null;
 }
+
+/** " (waited 0.2 ms, rendered in 35 ms, encoded in 1.1 ms)" */
+const partsOf = ({queueMs, renderMs, encodeMs}) =>
+    ` (waited ${milliseconds(queueMs)}, rendered in ${milliseconds(renderMs)}, encoded in ${milliseconds(encodeMs)})`;
 
 export function drawCost(host, points, {budget, spent, truth, size}) {
   const [width, height] = size ? [size.width, size.height] : [Math.max(220, host.clientWidth), 150];
@@ -117,8 +121,8 @@ export function createCurve(scene, {choose, known: tell, besideFull}, signal) {
         !last || last.askedMs !== ms ?
               `within ${milliseconds(ms)}${promise ? `: about ${decibel(promise, 1)} at the curve’s size` : ''}` :
               `${curve ? '○ ' : ''}this view at ${last.width} × ${last.height}: ${
-                  Number.isFinite(last.expectedPsnr) ? `${decibel(last.expectedPsnr, 1)} expected` : 'accuracy not known'}; took ${
-                  milliseconds(last.spentMs)} of ${milliseconds(ms)}${last.late ? ', late' : ''}; ${
+                  expectedPsnr(last.expectedPsnr, last.expectedSpread)}; took ${milliseconds(last.spentMs)} of ${milliseconds(ms)}${
+                  partsOf(last)}${last.late ? ', late' : ''}; ${
                   last.setting === 'full' ? 'nothing left out' : `setting ${last.setting.replaceAll(',', ', ')}`}`);
   }
 

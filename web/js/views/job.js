@@ -2,7 +2,7 @@
 import {api} from '../api.js';
 import {fill, h, text} from '../dom.js';
 import {find, isActive, isVisit, isVisitor, may, putJob, state, watch} from '../store.js';
-import {ago, decibel, fixed, milliseconds, plural, seconds} from '../format.js';
+import {ago, decibel, expectedPsnr, fixed, milliseconds, plural, seconds} from '../format.js';
 import {
   chip,
   empty,
@@ -183,6 +183,7 @@ function aboutJob(job, signal) {
             'A frame took',
             now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
           ],
+          ['Its budget became', budgetWords(now.result)],
           ['Id', h('code', null, now.id)]
         ]),
         h('h3', null, 'Asked for'), facts(askedFor(now, path)));
@@ -194,6 +195,15 @@ function aboutJob(job, signal) {
       show();
     }, () => {});
   return panel('About', null, box);
+}
+
+/** What a path or an evaluation by a budget was rendered with. */
+function budgetWords(result) {
+  if (!result?.setting) return null;
+  const setting = result.setting.replaceAll(',', ', ');
+  return result.expected_psnr ?
+      `${setting}; ${expectedPsnr(result.expected_psnr, result.expected_spread)}` :
+      setting;
 }
 
 /** What an evaluation, an import or a training job gave. */
