@@ -17,18 +17,34 @@ static bool is_heif(const uint8_t *bytes, size_t size_bytes) {
 #include <stdlib.h>
 
 static enum rn_status failed(struct heif_error problem, const char *where, struct rn_error *err) {
+    int told = (int)strcspn(problem.message, "\n");
+    if (told > 160) told = 160;
+    if (problem.subcode == heif_suberror_Security_limit_exceeded)
+        return rn_error_set(
+            err, RN_ERROR_LIMIT, where,
+            "the HEIC or AVIF file is over a limit (%d x %d pixels) of what is read "
+            "of such files (%.*s): scale it down, or convert it to JPEG",
+            rn_image_default_limits.max_width, rn_image_default_limits.max_height, told,
+            problem.message);
     if (problem.code == heif_error_Memory_allocation_error)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, where, "no memory to read the HEIC or AVIF");
     if (problem.code == heif_error_Unsupported_filetype ||
         problem.code == heif_error_Unsupported_feature ||
         problem.code == heif_error_Decoder_plugin_error)
         return rn_error_set(err, RN_ERROR_UNSUPPORTED, where,
-                            "libheif cannot read this HEIC or AVIF file (%.160s): convert it to "
+                            "libheif cannot read this HEIC or AVIF file (%.*s): convert it to "
                             "JPEG",
-                            problem.message);
+                            told, problem.message);
     return rn_error_set(err, RN_ERROR_INVALID, where,
-                        "the HEIC or AVIF file is damaged (%.160s): copy or export it again",
+                        "the HEIC or AVIF file is damaged (%.*s): copy or export it again", told,
                         problem.message);
+}
+
+// The most pixels a side of what is decoded, whichever part of the file says how many; the library
+// refuses a grid of as many as it is told, and its own limit would let a few bytes ask for 4 GB.
+static int most_pixels(void) {
+    const struct rn_image_limits *most = &rn_image_default_limits;
+    return (most->max_width > most->max_height ? most->max_width : most->max_height) + 1;
 }
 
 static enum rn_status open_picture(const uint8_t *bytes, size_t size_bytes, const char *where,
@@ -41,6 +57,7 @@ static enum rn_status open_picture(const uint8_t *bytes, size_t size_bytes, cons
     // Whoever reads many photographs has threads of its own; the library's would only take turns
     // with them, and where none can be made they end the process.
     heif_context_set_max_decoding_threads(context, 0);
+    heif_context_set_maximum_image_size_limit(context, most_pixels());
     struct heif_error problem =
         heif_context_read_from_memory_without_copy(context, bytes, size_bytes, NULL);
     if (problem.code == heif_error_Ok)

@@ -105,6 +105,13 @@ IMAGES = {
     "HEIC alpha of its alpha": (raw(heif.file(
         [heif.tile(i, 64, 64, heif.alpha()) for i in (1, 2)],
         [("auxl", 1, [2]), ("auxl", 2, [1])])), FIRST, "made of itself"),
+    "HEIC of a huge size": (raw(heif.file(
+        [(*GRID[:3], [heif.size(60000, 60000)]), heif.tile(2)], [("dimg", 1, [2])])), FIRST,
+                            "over a limit"),
+    "HEIC of another size": (raw(heif.file(
+        [(1, "grid", heif.grid(1, 1, 32000, 32000), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
+                             "r_0.png", "over a limit"),
+    "HEIC that is cut": (raw(heif.tiled(2, 2)[:-20]), FIRST, "damaged"),
     "HEIC tiles of tiles": (raw(heif.file(
         [(i, "grid", heif.grid(128, 128, 8192, 8192), GRID[3]) for i in (1, 2, 3)] + [heif.tile(4, 8, 8)],
         [("dimg", i, [i + 1] * 128 * 128) for i in (1, 2, 3)])), FIRST, "65536 parts"),
