@@ -1,7 +1,10 @@
 """Uploads in parts: they go on after a lost connection and after a restart, and become one dataset."""
 
+import io
+import json
 import os
 import socket
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -91,6 +94,48 @@ def test_what_is_wrong_with_a_part(shared):
     assert shared.get(f"/v1/uploads/{upload}").status == 404
     assert shared.delete(f"/v1/uploads/{upload}").status == 404
     assert not list(Path(shared.data).glob("spool/up_*"))
+
+
+FRAMES = b'{"camera_angle_x": 0.6, "frames": [{"file_path": "%s", "transform_matrix": 1}]}'
+SPOILT = {"no layout": {"notes.txt": b"hello"},
+          "no poses": {"transforms_train.json": FRAMES % b"./a"},
+          "no JSON": {"transforms_train.json": b"{"},
+          "no numbers": {"transforms.json": b'{"fl_x": "x", "frames": []}'},
+          "a path that goes out": {"transforms_train.json": FRAMES % b"../../a"},
+          "no model": {"sparse/0/cameras.txt": b"1 NOTHING 2 2 1", "sparse/0/images.txt": b"",
+                       "images/a.png": b"x"}}
+
+
+def in_parts(daemon, files):
+    """The upload's id: of files, sent whole."""
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w", format=tarfile.USTAR_FORMAT) as out:
+        for name, body in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(body)
+            out.addfile(info, io.BytesIO(body))
+    packed = packed.getvalue()
+    upload = begin(daemon, len(packed))
+    assert send(daemon, upload, 0, packed).status == 204
+    return upload
+
+
+@pytest.mark.parametrize("folder", SPOILT)
+def test_where_an_upload_was_unpacked_is_told_to_nobody(shared, folder):
+    """Of what is sent; and what a browser or the client sends was a folder, or looked like one."""
+    for kind in ("dataset", "validate"):
+        upload = in_parts(shared, SPOILT[folder])
+        if kind == "dataset":
+            reply = shared.post("/v1/datasets", {"name": "spoilt", "upload": upload})
+        else:
+            reply = shared.post("/v1/jobs", {"type": "validate", "upload": upload})
+        assert reply.status == 202, reply.body
+        job = shared.wait(reply.json["id"])
+        assert job["state"] == "failed" or job["result"]["report"]["errors"], job
+        told = json.dumps(job)
+        assert "spool" not in told and str(shared.data) not in told and "the archive" not in told, told
+        if folder == "no layout" and kind == "dataset":
+            assert "the folder" in told
 
 
 @pytest.mark.parametrize("body, status", [

@@ -510,6 +510,32 @@ def test_of_a_daemon_that_is_near_the_next_coarse_picture_is_asked_for_once_one_
     assert counts == [1, 1, 2, 2, 2]
 
 
+def test_a_camera_that_rests_for_50_ms_gets_a_finer_picture(blank):
+    """Not before, as the next movement would give that up; and counted from the last movement."""
+    counts = blank.run(VIEWER + """
+        wayMs = 5;
+        const counts = [];
+        const count = async (ms) => { await pause(ms); counts.push(asked.length); };
+        const coarse = async () => {
+          const drawn = new Promise((yes) => { host.onPicture = yes; });
+          asked.at(-1)(10);
+          await drawn;
+          await count(0);
+        };
+        viewer.changed();
+        await pause(5);
+        await coarse();
+        await count(40);  // 45 ms after it moved
+        viewer.changed();  // it moves on: another coarse one
+        await pause(5);
+        await coarse();
+        await count(44);  // 49 ms
+        await count(1);
+        return done(counts);"""
+    )
+    assert counts == [1, 1, 2, 2, 3]
+
+
 def test_a_coarse_picture_waits_for_a_camera_that_is_about_to_come(blank):
     """Of one that is nearer than the last; and for no longer, if none comes."""
     counts = blank.run(VIEWER + """

@@ -344,12 +344,12 @@ static void remove_folder(const char *path) {
     if (rn_remove_tree(path, &err)) rn_log(RN_LOG_WARN, "%s: %s", err.where, err.text);
 }
 
-// Where an archive was unpacked is nothing to its sender.
+// Where it was unpacked is nothing to its sender, who chose a folder, or an archive of one.
 static void tell_as_sent(const struct ingest *ingest, struct rn_error *err) {
     const char *folder = ingest->folder;
     if (!folder) return;
     if (strcmp(err->where, folder) == 0 && strcmp(folder, ingest->order.source) != 0)
-        snprintf(err->where, sizeof err->where, "the archive");
+        snprintf(err->where, sizeof err->where, "the folder");
     tell_as_unpacked(ingest, err->where);
     tell_as_unpacked(ingest, err->text);
 }
