@@ -9,6 +9,9 @@
 #define WIDTH "480"
 #define MAX_SIDE 4096 // of a scaled frame
 #define MAX_FRAMES 1000000
+#define MAX_ARRIVED ((size_t)4 * MAX_SIDE * MAX_SIDE) // of frames that are not whole yet
+// What a file may be that is called a film. Others, playlists above all, name files of their own.
+#define KINDS "-format_whitelist", "mov,matroska,avi,mpegts"
 #define EXPRESSION_BYTES (RN_FILM_FRAMES * 20 + 32)
 
 // The film as it arrives, small and grey: PGM pictures one after the other.
@@ -19,7 +22,9 @@ struct look {
     float *sharpness; // of each frame
     size_t count, room;
     double seconds; // of the film, by its head; 0: not said
-    bool no_memory;
+    const char *film;
+    enum rn_status status; // why no more is taken, and `fault`
+    struct rn_error fault;
 };
 
 static double laplacian(const uint8_t *pixels, int width, int height) {
@@ -33,14 +38,25 @@ static double laplacian(const uint8_t *pixels, int width, int height) {
     return sum / ((double)width * height);
 }
 
+// Makes room for the doubled count; false where there is none.
+static bool grow(struct look *look, void **block, size_t count, size_t size) {
+    void *grown = realloc(*block, count * size);
+    if (grown)
+        *block = grown;
+    else
+        look->status = rn_error_set(&look->fault, RN_ERROR_NO_MEMORY, look->film, "out of memory");
+    return grown != NULL;
+}
+
 static bool add_frame(struct look *look, const uint8_t *pixels, int width, int height) {
+    if (look->count == MAX_FRAMES) {
+        look->status = rn_error_set(&look->fault, RN_ERROR_LIMIT, look->film,
+                                    "has more than %d frames: cut it into parts", MAX_FRAMES);
+        return false;
+    }
     if (look->count == look->room) {
         size_t room = look->room ? 2 * look->room : 1024;
-        float *grown =
-            look->room < MAX_FRAMES ? realloc(look->sharpness, room * sizeof *grown) : NULL;
-        look->no_memory = !grown;
-        if (!grown) return false;
-        look->sharpness = grown;
+        if (!grow(look, (void **)&look->sharpness, room, sizeof *look->sharpness)) return false;
         look->room = room;
     }
     look->sharpness[look->count++] = (float)laplacian(pixels, width, height);
@@ -59,7 +75,13 @@ static bool take_frames(struct look *look) {
         memcpy(head, look->bytes + at, known);
         head[known] = '\0';
         if (sscanf(head, "P5 %d %d 255%n", &width, &height, &used) != 2 || !used) break;
-        if (width < 3 || height < 3 || width > MAX_SIDE || height > MAX_SIDE) return false;
+        if (width < 3 || height < 3 || width > MAX_SIDE || height > MAX_SIDE) {
+            look->status = rn_error_set(&look->fault, RN_ERROR_LIMIT, look->film,
+                                        "has frames that are %d x %d pixels once they are " WIDTH
+                                        " wide, 3 to %d a side are read: crop them",
+                                        width, height, MAX_SIDE);
+            return false;
+        }
         size_t size = (size_t)used + 1 + (size_t)width * (size_t)height;
         if (left < size) break;
         if (!add_frame(look, look->bytes + at + used + 1, width, height)) return false;
@@ -72,13 +94,14 @@ static bool take_frames(struct look *look) {
 
 static bool take_bytes(void *context, const void *bytes, size_t size) {
     struct look *look = context;
+    if (look->size + size > MAX_ARRIVED) {
+        look->status = rn_error_set(&look->fault, RN_ERROR_INVALID, look->film,
+                                    "ffmpeg makes no pictures of it: convert it to MP4");
+        return false;
+    }
     if (look->size + size > look->capacity) {
         size_t capacity = 2 * (look->size + size);
-        uint8_t *grown =
-            capacity < (size_t)4 * MAX_SIDE * MAX_SIDE ? realloc(look->bytes, capacity) : NULL;
-        look->no_memory = !grown;
-        if (!grown) return false;
-        look->bytes = grown;
+        if (!grow(look, (void **)&look->bytes, capacity, 1)) return false;
         look->capacity = capacity;
     }
     memcpy(look->bytes + look->size, bytes, size);
@@ -113,22 +136,39 @@ static size_t choose(const struct look *look, size_t wanted, size_t *chosen) {
 }
 
 static enum rn_status look_through(struct look *look, const char *film, struct rn_error *err) {
-    const char *const argv[] = {"-nostdin", "-hide_banner",
-                                "-i",       film,
-                                "-an",      "-sn",
-                                "-vf",      "scale=" WIDTH ":-2,format=gray",
-                                "-f",       "image2pipe",
-                                "-c:v",     "pgm",
-                                "-",        NULL};
+    const char *const argv[] = {"-nostdin",
+                                "-hide_banner",
+                                KINDS,
+                                "-i",
+                                film,
+                                "-an",
+                                "-sn",
+                                "-vf",
+                                "scale=" WIDTH ":-2,format=gray",
+                                "-f",
+                                "image2pipe",
+                                "-c:v",
+                                "pgm",
+                                "-",
+                                NULL};
     struct rn_program ffmpeg = {.name = "ffmpeg",
                                 .package = "ffmpeg",
                                 .line = read_duration,
                                 .bytes = take_bytes,
                                 .keep_going = keep_looking,
                                 .context = look};
-    enum rn_status status = rn_program_run(&ffmpeg, argv, err);
-    if (status == RN_ERROR_CANCELLED && look->no_memory)
-        return rn_error_set(err, RN_ERROR_NO_MEMORY, film, "out of memory");
+    struct rn_error fault;
+    enum rn_status status = rn_program_run(&ffmpeg, argv, &fault);
+    if (status == RN_ERROR_INVALID && look->count == 0)
+        return rn_error_set(err, status, film,
+                            "ffmpeg %.300s; films are MP4, MOV, MKV, WebM, AVI or MPEG transport "
+                            "streams: convert it to MP4",
+                            fault.text);
+    if (status && err) *err = fault;
+    if (status == RN_ERROR_CANCELLED && look->status) {
+        if (err) *err = look->fault;
+        return look->status;
+    }
     if (status == RN_OK && look->count == 0)
         return rn_error_set(err, RN_ERROR_INVALID, film, "has no frame that can be read");
     return status;
@@ -144,8 +184,9 @@ static enum rn_status write_frames(struct look *look, const char *film, const ch
     snprintf(expression + used, sizeof expression - used, "'");
     snprintf(pattern, sizeof pattern, "%s/frame_%%06d.jpg", folder);
     const char *const argv[] = {
-        "-nostdin", "-hide_banner", "-loglevel", "error", "-i", film,   "-an", "-sn",   "-vf",
-        expression, "-vsync",       "0",         "-qmin", "1",  "-q:v", "1",   pattern, NULL};
+        "-nostdin", "-hide_banner", "-loglevel", "error",    KINDS,    "-i", film,
+        "-an",      "-sn",          "-vf",       expression, "-vsync", "0",  "-qmin",
+        "1",        "-q:v",         "1",         pattern,    NULL};
     struct rn_program ffmpeg = {
         .name = "ffmpeg", .package = "ffmpeg", .keep_going = keep_looking, .context = look};
     look->order->stage(look->order->context, "taking frames of the film", 0, 0);
@@ -154,7 +195,7 @@ static enum rn_status write_frames(struct look *look, const char *film, const ch
 
 enum rn_status rn_film_frames(const struct rn_poses_order *order, const char *film,
                               const char *folder, struct rn_error *err) {
-    struct look look = {.order = order};
+    struct look look = {.order = order, .film = film};
     size_t chosen[RN_FILM_FRAMES], count;
     enum rn_status status = look_through(&look, film, err);
     if (status == RN_OK) {

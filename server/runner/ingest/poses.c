@@ -156,6 +156,9 @@ static enum rn_status take_frames(struct search *search, struct rn_error *err) {
     enum rn_status status = rn_mkdirs(images, 0777, err);
     if (status == RN_OK) status = rn_film_frames(search->order, search->photos->film, images, err);
     if (status == RN_OK) status = rn_photos_read(search->folder, NULL, NULL, &frames, err);
+    if (status == RN_ERROR_NOT_FOUND)
+        return rn_error_set(err, RN_ERROR_INVALID, search->photos->film,
+                            "ffmpeg takes none of its frames: convert it to MP4");
     if (status) return status;
     frames.film = search->photos->film;
     search->photos->film = NULL;
