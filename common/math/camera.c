@@ -44,6 +44,12 @@ static enum rn_status check_pose(const struct rn_camera *camera, const char *whe
         for (int j = 0; j < 4; j++)
             if (!isfinite(pose[i][j]))
                 return bad(where, "world_from_camera", "the pose has a non-finite number", err);
+    for (int i = 0; i < 3; i++)
+        if (!(fabs(pose[i][3]) <= RN_CAMERA_MAX_AWAY))
+            return bad(where, "world_from_camera",
+                       "the camera's place is beyond 1e12: correct the pose, or take all poses' "
+                       "common distance from the origin off them",
+                       err);
     if (!(rn_rotation_skew(pose) <= MAX_POSE_ERROR))
         return bad(where, "world_from_camera",
                    "the pose's 3x3 part is not a rotation (its columns are not orthonormal to "

@@ -18,11 +18,15 @@ struct rn_camera {
     int width, height;                 // pixels, 1 .. RN_CAMERA_MAX_SIZE
     double fx, fy;                     // focal lengths, pixels, 1 / RN_CAMERA_MAX_PX ..
     double cx, cy;                     // principal point, pixels from the top-left corner
-    double world_from_camera[3][4];    // [R | t], R orthonormal, right-handed
+    double world_from_camera[3][4];    // [R | t], R orthonormal, right-handed; |t_i| <=
+                                       // RN_CAMERA_MAX_AWAY
 };
 
 #define RN_CAMERA_MAX_SIZE 16384
 #define RN_CAMERA_MAX_PX 1e9 // of a focal length, and of the principal point on either side
+// Of a coordinate of a camera's place: the Earth in micrometres. Beyond, their squares and sums end
+// to be numbers long before the coordinates do, and nothing of a scene's detail is left of them.
+#define RN_CAMERA_MAX_AWAY 1e12
 
 // A cone through one pixel (paper, section 3.1). `direction` is unit. `radius` is the cone's
 // cross-section radius per unit of distance along the ray.
@@ -156,8 +160,8 @@ RN_HD struct rn_camera rn_camera_resized(const struct rn_camera *camera, int wid
 struct rn_camera rn_camera_reframed(const struct rn_camera *camera, int width, int height);
 
 // Fills in the lens's fold, and checks sizes, the lens's parameters, focal lengths, principal point
-// and a rigid pose (|R^T R - 1| <= 1e-3 per entry, det > 0). `where` prefixes the field in the
-// error. RN_OK or RN_ERROR_INVALID.
+// and a rigid pose (|R^T R - 1| <= 1e-3 per entry, det > 0) within RN_CAMERA_MAX_AWAY. `where`
+// prefixes the field in the error. RN_OK or RN_ERROR_INVALID.
 enum rn_status rn_camera_check(struct rn_camera *camera, const char *where,
                                struct rn_error *err) RN_MUST_CHECK;
 

@@ -163,6 +163,7 @@ FAULTS = {
         LLFF: (ENDS, "poses_bounds.npy", "no rows"), BLENDER: (ENDS, "#/frames", "no views"),
         BARE: (ENDS, "", "holds no")}),
     "NaN in a pose": (set_pose(0, 3, NAN), None, all_of(LEFT_OUT, POSE, "finite")),
+    "a pose at 1e300": (set_pose(0, 3, 1e300), None, all_of(LEFT_OUT, POSE, "beyond 1e12")),
     "a rotation of length 0": (no_rotation, None, {
         **all_of(LEFT_OUT, POSE, "rotation"),
         **{reader: (LEFT_OUT, POSE[reader], "no length") for reader in (BINARY, TEXT)}}),
@@ -205,7 +206,7 @@ NOT_THERE = {
     ("a point or a name that does not exist", OPENSFM): "has tracks that became no point as a rule",
     ("a rotation of length 0", OPENSFM): "means that the camera is not turned"} | {
     (fault, BARE): "has no document" for fault in
-    ("a photograph that is not there", "NaN in a pose", "a rotation of length 0",
+    ("a photograph that is not there", "NaN in a pose", "a pose at 1e300", "a rotation of length 0",
      "a path that leaves the folder", "paths of another machine", "an unknown camera model")} | {
     (fault, LLFF): "names neither photographs nor a lens" for fault in
     ("a path that leaves the folder", "paths of another machine", "an unknown camera model")}

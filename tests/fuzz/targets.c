@@ -207,7 +207,8 @@ static void check_camera(const struct rn_camera *camera) {
     bool good = camera->width >= 1 && camera->width <= RN_CAMERA_MAX_SIZE && camera->height >= 1 &&
                 camera->height <= RN_CAMERA_MAX_SIZE && camera->fx > 0 && camera->fy > 0;
     for (int i = 0; i < 12; i++)
-        good &= isfinite(camera->world_from_camera[i / 4][i % 4]);
+        good &=
+            fabs(camera->world_from_camera[i / 4][i % 4]) <= 2 * RN_CAMERA_MAX_AWAY; // between keys
     if (!good || !isfinite(camera->fx + camera->fy + camera->cx + camera->cy))
         wrong("a camera that no picture can be taken with");
 }

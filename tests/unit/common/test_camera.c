@@ -135,6 +135,8 @@ START_TEST(checks) {
     REFUSE(bad.cx = NAN, "cx");
     REFUSE(bad.cy = -INFINITY, "cy");
     REFUSE(bad.world_from_camera[1][3] = NAN, "world_from_camera");
+    REFUSE(bad.world_from_camera[2][3] = 1.01e12, "world_from_camera");
+    REFUSE(bad.world_from_camera[0][3] = -1e308, "world_from_camera"); // finite; its square is not
     REFUSE(bad.world_from_camera[0][0] += 2e-3, "world_from_camera");
     REFUSE(for (int i = 0; i < 3; i++) bad.world_from_camera[i][0] *= -1, "world_from_camera");
     REFUSE(for (int i = 0; i < 3; i++) for (int j = 0; j < 3; j++) bad.world_from_camera[i][j] *= 2,
@@ -146,6 +148,7 @@ START_TEST(checks) {
     bad.lens_k[3] = -0.25;
     ck_assert_int_eq(rn_camera_check(&bad, "", NULL), RN_OK);
     bad = good;
+    bad.world_from_camera[1][3] = -1e12;
     bad.world_from_camera[0][0] += 1e-5; // files carry rounded poses
     ck_assert_int_eq(rn_camera_check(&bad, "", NULL), RN_OK);
 }
