@@ -2,9 +2,11 @@
 // cost their content.
 #include <dirent.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
@@ -125,6 +127,44 @@ static void sweep_entry(struct sweep *sweep, const char *folder, const char *nam
     free(path);
 }
 
+// What a runner was writing when it was killed; removes it where it is to go. Whether there was
+// any.
+static bool find_rests(const char *path, bool go) {
+    bool found = false;
+    struct dirent *entry;
+    DIR *folder = opendir(path);
+    if (folder == NULL) return false;
+    while ((go || !found) && (entry = readdir(folder)) != NULL) {
+        if (*entry->d_name != '.' || strstr(entry->d_name, ".tmp") == NULL) continue;
+        if (go && unlinkat(dirfd(folder), entry->d_name, 0) != 0)
+            rn_log(RN_LOG_WARN, "%s/%s cannot be removed: %s", path, entry->d_name,
+                   strerror(errno));
+        found = true;
+    }
+    closedir(folder);
+    return found;
+}
+
+// A runner that outlived its daemon may be writing: while it holds the scene nothing of it goes.
+static void clear_scene(struct sweep *sweep, const char *id) {
+    static const char *const folders[] = {"", "/checkpoints", "/marks"};
+    char *lock = rn_store_path(sweep->store, "scenes/%s/lock", id);
+    bool cleared = false;
+    for (size_t i = 0; lock != NULL && i < sizeof folders / sizeof folders[0]; i++) {
+        char *path = rn_store_path(sweep->store, "scenes/%s%s", id, folders[i]);
+        if (path != NULL && find_rests(path, false)) {
+            int fd = open(lock, O_RDWR | O_CLOEXEC);
+            if (fd < 0 ? errno == ENOENT : flock(fd, LOCK_EX | LOCK_NB) == 0)
+                cleared |= find_rests(path, true);
+            if (fd >= 0) close(fd);
+        }
+        free(path);
+    }
+    if (cleared)
+        rn_log(RN_LOG_INFO, "removing what a killed runner left half written of scenes/%s", id);
+    free(lock);
+}
+
 static void sweep_folder(struct sweep *sweep, const char *name,
                          const struct rn_store_table *table) {
     char *folder = rn_store_path(sweep->store, "%s", name);
@@ -136,6 +176,7 @@ static void sweep_folder(struct sweep *sweep, const char *name,
         enum fate fate = table != NULL ? fate_of_content(sweep, table, entry->d_name)
                                        : fate_of_upload(sweep, entry->d_name);
         if (sweep->status == RN_OK) sweep_entry(sweep, name, entry->d_name, fate);
+        if (fate == STAYS && table == &rn_scenes) clear_scene(sweep, entry->d_name);
     }
     if (dir != NULL && sweep->status == RN_OK) errnum = errno;
     if (errnum != 0) sweep->status = rn_error_from_errno(sweep->err, errnum, name, "sweep");

@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -216,11 +217,24 @@ START_TEST(test_sweep) {
     static const struct {
         const char *name;
         bool stays;
-    } files[] = {
-        {"scenes/sc_a/x", true},     {"scenes/sc_b/x", false},       {"scenes/sc_lost/x", true},
-        {"spool/job_a.tar", true},   {"spool/job_b.tar", false},     {"spool/job_lost.tar", true},
-        {"spool/upload-xy", false},  {"spool/job_lost.work", false}, {"jobs/job_b/log", true},
-        {"jobs/job_lost/log", true}, {"datasets/ds_lost/x", true},   {"datasets/ds_f/x", false}};
+    } files[] = {{"scenes/sc_a/x", true},
+                 {"scenes/sc_b/x", false},
+                 {"scenes/sc_lost/x", true},
+                 {"spool/job_a.tar", true},
+                 {"spool/job_b.tar", false},
+                 {"spool/job_lost.tar", true},
+                 {"spool/upload-xy", false},
+                 {"spool/job_lost.work", false},
+                 {"jobs/job_b/log", true},
+                 {"jobs/job_lost/log", true},
+                 {"datasets/ds_lost/x", true},
+                 {"datasets/ds_f/x", false},
+                 {"scenes/sc_a/checkpoints/.fresh.tmp.partial", false},
+                 {"scenes/sc_a/checkpoints/step-000000001.safetensors", true},
+                 {"scenes/sc_a/marks/.step-000000001.safetensors.77-1.tmp", false},
+                 {"scenes/sc_a/.record.json.77-2.tmp", false},
+                 {"scenes/sc_a/.tidy", true},
+                 {"scenes/sc_lost/checkpoints/.fresh.tmp", true}};
     for (size_t i = 0; i < sizeof files / sizeof files[0]; i++) {
         char parent[256];
         snprintf(parent, sizeof parent, "%s/%s", folder, files[i].name);
@@ -231,6 +245,29 @@ START_TEST(test_sweep) {
     ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
     for (size_t i = 0; i < sizeof files / sizeof files[0]; i++)
         ck_assert_msg(exists(files[i].name) == files[i].stays, "%s", files[i].name);
+}
+END_TEST
+
+// A runner that outlived its daemon holds the lock of its scene, and may be writing.
+START_TEST(test_sweep_beside_a_runner) {
+    struct rn_scene_row scene = make_scene("sc_a", "lego");
+    char path[256];
+    ck_assert_int_eq(rn_store_insert(store, &rn_scenes, &scene, &err), RN_OK);
+    snprintf(path, sizeof path, "%s/scenes/sc_a/checkpoints", folder);
+    ck_assert_int_eq(rn_mkdirs(path, 0700, &err), RN_OK);
+    write_file("scenes/sc_a/lock", "");
+    write_file("scenes/sc_a/checkpoints/.fresh.tmp", "x");
+    snprintf(path, sizeof path, "%s/scenes/sc_a/lock", folder);
+    int fd = open(path, O_RDWR | O_CLOEXEC);
+    ck_assert_int_eq(flock(fd, LOCK_EX | LOCK_NB), 0);
+    ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
+    ck_assert(exists("scenes/sc_a/checkpoints/.fresh.tmp"));
+    close(fd);
+    ck_assert_int_eq(rn_store_sweep(store, &err), RN_OK);
+    ck_assert(!exists("scenes/sc_a/checkpoints/.fresh.tmp"));
+    fd = open(path, O_RDWR | O_CLOEXEC);
+    ck_assert_int_eq(flock(fd, LOCK_EX | LOCK_NB), 0); // nor is it kept from the next one
+    close(fd);
 }
 END_TEST
 
@@ -494,6 +531,7 @@ int main(void) {
     tcase_add_test(tcase, test_damage);
     tcase_add_test(tcase, test_sweep);
     tcase_add_test(tcase, test_sweep_that_cannot_ask);
+    tcase_add_test(tcase, test_sweep_beside_a_runner);
     tcase_add_test(tcase, test_few_descriptors);
     tcase_add_test(tcase, test_rebuild);
     tcase_add_test(tcase, test_rebuild_from_damaged_copy);
