@@ -52,6 +52,8 @@ def test_within_a_time(slow):
         late = float(headers["X-Ripnerf-Spent-Ms"]) > within
         assert headers["X-Ripnerf-Late"] == ("1" if late else "0")
         assert float(headers["X-Ripnerf-Expected-Psnr"]) > 0
+        # What was thought to take a millisecond, and takes 128, is given up for a quick picture.
+        assert within == 400 or "subsample" in headers["X-Ripnerf-Setting"]
     assert "subsample" in ask(slow, within_ms=40).headers["X-Ripnerf-Setting"]
     assert ask(slow, within_ms=60000).headers["X-Ripnerf-Setting"] == "full"
 

@@ -1,7 +1,8 @@
 // The best picture by a deadline. The way to render that should fit is begun at once: its first
 // pass is a whole picture, which is refined while there is time (rn_render with a deadline). Where
 // that is not there soon, or it is not known how slow pictures are here, a quick one is made, so
-// that there is a picture in any case.
+// that there is a picture in any case. One that was expected well before the deadline is rendered
+// as if there were none; where it is not there by half of the time, that was wrong: it is given up.
 #ifndef RN_ENGINE_RENDER_WITHIN_H
 #define RN_ENGINE_RENDER_WITHIN_H
 
@@ -22,6 +23,10 @@ struct rn_render_budget {
     // How many times as long as expected pictures take here and now; 0 when nothing is known. Kept
     // up to date, for the next picture to begin with.
     double slowness;
+    // Of a scene whose rays take many times the samples that the choices say, as one that has
+    // hardly been trained, whose fog every ray goes through: milliseconds a ray, whatever the
+    // choices say. 0: it is not so, or not known. Kept up to date likewise.
+    double ray_ms;
 };
 struct rn_render_spent {
     size_t choice;                      // that the picture was made with,

@@ -221,12 +221,13 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
     struct rn_render_budget budget = {.choices = choices,
                                       .count = count,
                                       .deadline_ns = render->deadline_ns - (int64_t)reserve_ns,
-                                      .slowness =
-                                          host->pace.slowness > 0 ? host->pace.slowness : 1};
+                                      .slowness = host->pace.slowness > 0 ? host->pace.slowness : 1,
+                                      .ray_ms = host->pace.ray_ms};
     enum rn_status status = rn_render_within(host->engine, field, options, &budget,
                                              rn_watch_keep_going, watch, ret_result, &spent, err);
     if (status) return status;
     host->pace.slowness = budget.slowness;
+    host->pace.ray_ms = budget.ray_ms;
     rendered->kept_ms =
         kept_ms + fmax((double)(budget.deadline_ns - rn_clock_ns()) * 1e-6, 0); // what is left
     rendered->render_ms = spent.ms;

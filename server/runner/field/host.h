@@ -26,6 +26,7 @@ struct rn_pace {
     struct rn_curve_record record; // the scene's; of 0 points: it has none
     bool looked;                   // for it
     double slowness;               // of pictures by a deadline (engine/render/within.h); 0: unknown
+    double ray_ms;                 // likewise, of fog; 0: there is none
     struct rn_pace_end end;        // of deadlines
     double encode_ns[RN_FORMAT_EXR + 1]; // a pixel, of each rn_picture_format; 0: unknown
     // What JPEGs of a quality lose, mean square, by one whose picture was expected to be so good.
