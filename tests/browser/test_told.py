@@ -291,6 +291,9 @@ def test_nothing_is_wider_than_a_phone(page, fake, width):
             width,
         )
         assert page.run("return document.documentElement.scrollWidth;") <= width, (place, wide[:5])
+        short = page.run("return [...document.querySelectorAll('main input[type=range]')]"
+                         ".filter((e) => e.checkVisibility() && e.clientWidth < 80).map((e) => e.outerHTML);")
+        assert not short  # a slider is for dragging
 
 
 ACCESS = """
