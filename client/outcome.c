@@ -9,13 +9,23 @@
 #include "proto/ladder.h"
 #include "proto/problem.h"
 
+// "; 33.1 dB after 10.0 s were estimated", or nothing.
+static void format_check(const struct rn_estimate_check *check, char *ret_text, size_t capacity) {
+    char seconds[24];
+    *ret_text = '\0';
+    if (!*check->job || isnan(check->psnr)) return;
+    rn_format_seconds(check->seconds, seconds, sizeof seconds);
+    snprintf(ret_text, capacity, "; %.2f dB after %s were estimated", check->psnr, seconds);
+}
+
 static void format_training(const void *message, char *ret_text, size_t capacity) {
     const struct rn_train_result *result = message;
-    char seconds[24], psnr[48];
+    char seconds[24], psnr[48], check[64];
     rn_format_seconds(result->train_seconds, seconds, sizeof seconds);
     rn_format_figure(result->psnr, result->psnr_step, result->steps, psnr, sizeof psnr);
-    snprintf(ret_text, capacity, "%lld steps in %s%s%s%s", (long long)result->steps, seconds,
-             *psnr ? ", " : "", psnr,
+    format_check(&result->estimate, check, sizeof check);
+    snprintf(ret_text, capacity, "%lld steps in %s%s%s%s%s", (long long)result->steps, seconds,
+             *psnr ? ", " : "", psnr, check,
              *result->fell_back ? "; a damaged checkpoint was passed over" : "");
 }
 

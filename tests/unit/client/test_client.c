@@ -392,6 +392,11 @@ static const struct {
      "{\"steps\":2400,\"train_seconds\":60,\"samples\":9,\"psnr\":26.1,\"psnr_step\":1200,"
      "\"parameters_sha256\":\"" SHA256 "\",\"finished_by\":\"time\"}",
      "2400 steps in 60.0 s, 26.10 dB at step 1200"},
+    {RN_JOB_TRAIN,
+     "{\"steps\":2400,\"train_seconds\":60,\"samples\":9,\"psnr\":26.1,"
+     "\"parameters_sha256\":\"" SHA256 "\",\"finished_by\":\"time\",\"estimate\":"
+     "{\"job\":\"job_a2c4e6g3i5k7\",\"seconds\":61.5,\"psnr\":26.52,\"passings\":[]}}",
+     "2400 steps in 60.0 s, 26.10 dB; 26.52 dB after 61.5 s were estimated"},
     {RN_JOB_INGEST, "{\"dataset\":\"ds_a2c4e6g3i5k7\"}", ""},
     {RN_JOB_DOCTOR, "{\"passed\":1}", ""},
 };

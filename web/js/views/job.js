@@ -184,6 +184,12 @@ function aboutJob(job, signal) {
             now.result?.render_ms_median ? milliseconds(now.result.render_ms_median) : null
           ],
           ['Its budget became', budgetWords(now.result)],
+          [
+            'Estimated before',
+            now.result?.estimate ?
+                `${decibel(now.result.estimate.psnr)} after ${seconds(now.result.estimate.seconds)}` :
+                null
+          ],
           ['Id', h('code', null, now.id)]
         ]),
         h('h3', null, 'Asked for'), facts(askedFor(now, path)));
