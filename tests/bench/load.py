@@ -148,7 +148,7 @@ def main():
         with Daemon(build / "server/ripnerfd", build / "tests/support/ripnerf-runner-fake",
                     folder / "rests", max_connections=10000, header_timeout=60) as daemon:
             measure_rate(daemon, given.seconds)
-            measure_connections(daemon, 9900)
+            measure_connections(daemon, 9999)  # and the one that asks
             measure_streams(daemon, 1000)
     print(f"\nload {os.getloadavg()[0]:.1f} at the end")
 
