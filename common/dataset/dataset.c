@@ -170,6 +170,25 @@ static void set_bounds(struct rn_reader *reader, const struct rn_scene_place *pl
     }
 }
 
+// A camera that stands nowhere near the others makes the scene as large as its distance.
+static enum rn_status check_bounds(const struct rn_dataset *dataset, struct rn_error *err) {
+    const struct rn_bounds *bounds = &dataset->bounds;
+    const struct rn_frame *farthest = &dataset->frames[0];
+    double distance = 0;
+    if (bounds->radius >= RN_BOUNDS_LEAST && bounds->radius <= RN_BOUNDS_MOST) return RN_OK;
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        double to_this = rn_camera_distance(&dataset->frames[i].camera, bounds->centre);
+        if (!(to_this > distance)) continue;
+        distance = to_this;
+        farthest = &dataset->frames[i];
+    }
+    return rn_error_set(err, RN_ERROR_INVALID, farthest->path,
+                        "the scene is a sphere with a radius of %.3g, %g to %g can be: this "
+                        "photograph's camera stands farthest from its middle, by %.3g; correct its "
+                        "pose where it is wrong, or give all poses in another unit",
+                        bounds->radius, RN_BOUNDS_LEAST, RN_BOUNDS_MOST, distance);
+}
+
 // What is asked for; the rest is found out.
 static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *err) {
     struct rn_dataset *dataset = reader->dataset;
@@ -191,6 +210,7 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
     dataset->lie = place.lie;
     dataset->lie.known = true;
     set_bounds(reader, &place);
+    if ((status = check_bounds(dataset, err))) return status;
     if (reader->problems && !(dataset->format->sphere > 0)) rn_reader_tell_place(reader, &place);
     return RN_OK;
 }

@@ -79,6 +79,9 @@ enum rn_bounds_source {
 extern const char *const rn_bounds_source_names[];  // "given", "layout", ..., NULL
 extern const char *const rn_bounds_source_titles[]; // for people: "as given", "by its layout", ...
 
+#define RN_BOUNDS_LEAST 1e-9 // of a radius
+#define RN_BOUNDS_MOST 1e9
+
 // The sphere that holds the scene, dataset units.
 struct rn_bounds {
     double centre[3];

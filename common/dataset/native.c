@@ -119,7 +119,8 @@ static enum rn_status read_bounds(const struct rn_json *root, struct rn_bounds *
     if ((status = rn_json_member(root, "bounds", &object, err)) ||
         (status = rn_json_refuse_unknown(&object, known, err)) ||
         (status = rn_json_matrix(&object, "centre", 0, 3, bounds->centre, err)) ||
-        (status = rn_json_number(&object, "radius", 1e-9, 1e9, &bounds->radius, err)) ||
+        (status = rn_json_number(&object, "radius", RN_BOUNDS_LEAST, RN_BOUNDS_MOST,
+                                 &bounds->radius, err)) ||
         (status = rn_json_choice(&object, "source", rn_bounds_source_names, RN_BOUNDS_SOURCES,
                                  &source, err)))
         return status;

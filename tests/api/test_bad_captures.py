@@ -164,6 +164,8 @@ FAULTS = {
         BARE: (ENDS, "", "holds no")}),
     "NaN in a pose": (set_pose(0, 3, NAN), None, all_of(LEFT_OUT, POSE, "finite")),
     "a pose at 1e300": (set_pose(0, 3, 1e300), None, all_of(LEFT_OUT, POSE, "beyond 1e12")),
+    "a camera out of this world": (set_pose(0, 3, 9e11), None, {
+        reader: (ENDS, "p1.png", "stands farthest") for reader in LAYOUTS if reader not in (BLENDER, BARE)}),
     "a rotation of length 0": (no_rotation, None, {
         **all_of(LEFT_OUT, POSE, "rotation"),
         **{reader: (LEFT_OUT, POSE[reader], "no length") for reader in (BINARY, TEXT)}}),
@@ -196,6 +198,8 @@ FAULTS["a rotation of length 0"][2].pop(OPENSFM)
 FAULTS["a size that differs"][2].pop(BUNDLER)
 FAULTS["portrait among landscape"][2].pop(BUNDLER)
 NOT_THERE = {
+    ("a camera out of this world", BLENDER): "has a sphere by its layout",
+    ("a camera out of this world", BARE): "has no document"} | {
     ("a camera that does not exist", reader): "gives each photograph its camera in place"
     for reader in (STUDIO, NGP, BUNDLER, LLFF, BLENDER, BARE)} | {
     ("an unknown camera model", BUNDLER): "has one kind of lens",
