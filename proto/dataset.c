@@ -8,15 +8,17 @@
 #include "proto/job.h"
 
 const char *const rn_poses_names[] = {"auto", "find", "file", NULL};
+const char *const rn_backdrop_names[] = {"cut", "keep", NULL};
 const char *const rn_severity_names[] = {"info", "warning", "error", NULL};
 
 #define S struct rn_ingest_options
 static const struct rn_field_spec ingest_options[] = {
-    RN_F_INT(S, max_size, 0, 0, 16384),          RN_F_INT(S, scales, 0, 1, 8),
-    RN_F_NAME(S, alpha, 0, rn_downscale_names),  RN_F_TEXT(S, split, 0, rn_check_split_spec),
-    RN_F_TEXT(S, bounds, 0, rn_check_bounds),    RN_F_TEXT(S, up, 0, rn_check_up),
-    RN_F_TEXT(S, crop, 0, rn_check_crop),        RN_F_TEXT(S, format, 0, rn_check_format),
-    RN_F_TEXT(S, masks, 0, rn_check_inner_path), RN_F_NAME(S, poses, 0, rn_poses_names),
+    RN_F_INT(S, max_size, 0, 0, 16384),           RN_F_INT(S, scales, 0, 1, 8),
+    RN_F_NAME(S, alpha, 0, rn_downscale_names),   RN_F_TEXT(S, split, 0, rn_check_split_spec),
+    RN_F_TEXT(S, bounds, 0, rn_check_bounds),     RN_F_TEXT(S, up, 0, rn_check_up),
+    RN_F_TEXT(S, crop, 0, rn_check_crop),         RN_F_TEXT(S, format, 0, rn_check_format),
+    RN_F_TEXT(S, masks, 0, rn_check_inner_path),  RN_F_NAME(S, poses, 0, rn_poses_names),
+    RN_F_NAME(S, backdrop, 0, rn_backdrop_names),
 };
 const struct rn_table rn_ingest_options_table = RN_TABLE(S, "import options", ingest_options);
 #undef S
@@ -74,6 +76,7 @@ struct rn_read_options rn_ingest_reading(const struct rn_ingest_options *options
                                       .masks = *options->masks ? options->masks : NULL};
     if (!rn_ingest_bounds(options->bounds, reading.bounds.centre, &reading.bounds.radius))
         reading.bounds.radius = 0;
+    reading.keep_backdrop = rn_name_or(options->backdrop, 0) != 0;
     reading.up_given = rn_ingest_up(options->up, reading.up);
     reading.cropped = rn_ingest_crop(options->crop, &reading.crop);
     return reading;

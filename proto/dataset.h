@@ -8,6 +8,7 @@
 #include "proto/names.h"
 
 extern const char *const rn_poses_names[];    // by enum rn_poses
+extern const char *const rn_backdrop_names[]; // "cut", "keep"
 extern const char *const rn_severity_names[]; // "info", "warning", "error"
 
 // Where poses come from: found by a program where no document has them, always found, or only from
@@ -24,6 +25,7 @@ struct rn_ingest_options {
     char format[RN_FORMAT_NAME_MAX]; // of rn_formats; "": recognised
     char masks[256];                 // folder of masks, relative; "": "masks", if it is there
     int poses;                       // rn_poses_names; absent: file
+    int backdrop;                    // rn_backdrop_names; absent: cut
 };
 extern const struct rn_table rn_ingest_options_table;
 // N of "every:N"; 0 for "files" and "". The text was checked by the table.

@@ -166,7 +166,8 @@ static enum rn_exit examine(const char *folder, const struct rn_read_options *op
 }
 
 struct import_options {
-    const char *name, *dataset, *alpha, *split, *bounds, *up, *crop, *format, *masks, *poses;
+    const char *name, *dataset, *alpha, *split, *bounds, *up, *crop, *format, *masks, *poses,
+        *backdrop;
     int64_t max_size, scales;
     bool skip_bad;
 };
@@ -179,6 +180,7 @@ static bool take_options(const struct import_options *from, struct rn_ingest_opt
     ret->max_size = from->max_size;
     ret->scales = from->scales;
     ret->alpha = from->alpha ? rn_name_index(rn_downscale_names, from->alpha) : -1;
+    ret->backdrop = from->backdrop ? rn_name_index(rn_backdrop_names, from->backdrop) : -1;
 #define TAKE(field, check)                                                                         \
     rn_take_text("--" #field, from->field, check, ret->field, sizeof ret->field)
     return TAKE(split, rn_check_split_spec) && TAKE(bounds, rn_check_bounds) &&
@@ -264,8 +266,8 @@ static enum rn_exit examine_capture(const char *path, const struct import_option
 
 // What is asked of photographs is not of a scene, and the other way round.
 static enum rn_exit check_scene_options(const struct import_options *o, bool scene) {
-    const char *const photographs[] = {o->alpha, o->split,  o->bounds, o->up,
-                                       o->crop,  o->format, o->masks,  o->poses};
+    const char *const photographs[] = {o->alpha,  o->split, o->bounds, o->up,      o->crop,
+                                       o->format, o->masks, o->poses,  o->backdrop};
     bool asked = o->skip_bad || o->max_size != RN_OPTION_ABSENT || o->scales != RN_OPTION_ABSENT;
     for (size_t i = 0; i < sizeof photographs / sizeof *photographs; i++)
         asked = asked || photographs[i];
@@ -364,6 +366,11 @@ static const struct rn_option import_table[] = {
      IMPORT(poses),
      .choices = rn_poses_names,
      .help = "find poses with COLMAP, or take a file's; auto: find where no file has them"},
+    {.name = "backdrop",
+     .kind = RN_OPTION_CHOICE,
+     IMPORT(backdrop),
+     .choices = rn_backdrop_names,
+     .help = "one colour that photographs stand on is cut off, or kept as part of the scene"},
     {.name = "skip-bad",
      .kind = RN_OPTION_FLAG,
      IMPORT(skip_bad),

@@ -127,17 +127,26 @@ static void cut(struct rn_dataset *dataset, const int width[SIDES]) {
     }
 }
 
-void rn_dataset_cut_bars(struct rn_dataset *dataset, struct rn_problems *problems) {
-    struct seen seen = {0};
-    if (!are_alike(dataset)) return;
+static bool find(struct seen *seen, const struct rn_dataset *dataset) {
+    if (!are_alike(dataset)) return false;
     size_t step = 1 + (dataset->frame_count - 1) / LOOKED_AT;
-    for (size_t f = 0; f < dataset->frame_count && may_have_any(&seen); f += step) {
+    for (size_t f = 0; f < dataset->frame_count && may_have_any(seen); f += step) {
         struct rn_image image;
         if (rn_frame_decode(&dataset->frames[f], NULL, &image, NULL)) continue; // told later
-        look(&seen, &image);
+        look(seen, &image);
         rn_image_finish(&image);
     }
-    if (!settle(&seen, &dataset->frames[0].camera)) return;
+    return settle(seen, &dataset->frames[0].camera);
+}
+
+bool rn_dataset_has_bars(const struct rn_dataset *dataset) {
+    struct seen seen = {0};
+    return find(&seen, dataset);
+}
+
+void rn_dataset_cut_bars(struct rn_dataset *dataset, struct rn_problems *problems) {
+    struct seen seen = {0};
+    if (!find(&seen, dataset)) return;
     tell(&seen, dataset, problems);
     cut(dataset, seen.width);
 }

@@ -57,7 +57,8 @@ enum rn_status rn_frame_decode(const struct rn_frame *frame, struct rn_survey *s
         return status;
     }
     cut_off(&image, bars);
-    if ((status = look_at_mask(frame, &hidden, err))) {
+    if (frame->backdrop.to_cut) status = rn_backdrop_cut(frame->backdrop.colour, &image, err);
+    if (status || (status = look_at_mask(frame, &hidden, err))) {
         rn_image_finish(&image);
         return status;
     }

@@ -204,6 +204,7 @@ static enum rn_status settle_place(struct rn_reader *reader, struct rn_error *er
     if (options) dataset->lie.cropped |= options->cropped;
     if (dataset->lie.known && !options) return RN_OK;
     rn_reader_settle_alpha(reader);
+    rn_reader_settle_backdrop(reader);
     enum rn_status status = rn_dataset_find_depths(dataset, err);
     if (status == RN_OK) status = rn_dataset_find_place(dataset, &place, err);
     if (status) return status;

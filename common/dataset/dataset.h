@@ -16,6 +16,13 @@ enum rn_split { RN_SPLIT_TRAIN, RN_SPLIT_VAL, RN_SPLIT_TEST, RN_SPLIT_COUNT };
 extern const char *const rn_split_names[];      // "train", "val", "test"
 const char *rn_split_name(enum rn_split split); // "?" of what is none
 
+// One colour that photographs stand on all around.
+struct rn_backdrop {
+    bool known;  // false: there is none, or it is kept as a part of the scene
+    bool to_cut; // the file still shows it; else it is transparent there
+    uint8_t colour[3];
+};
+
 // One image file. A view photographed once and kept at several scales has one frame a scale.
 struct rn_frame {
     char *name;      // e.g. "r_12": the JSON's file name without folder and extension
@@ -27,17 +34,18 @@ struct rn_frame {
                           // that were left out leave a gap
     int scale;            // 0 = full size, j = downsampled 2^j times
     double loss_weight;   // area weight of a pixel's loss: 4^scale (1 on single-scale data)
-    bool has_alpha;       // by the file's header
+    bool has_alpha;       // by the file's header, or since a backdrop is cut off when it is decoded
     int held;             // how the camera was held, by the file's EXIF: 1 upright, to 8
     uint32_t camera_key;  // of struct rn_image_info: which camera it was; 0: not said
     bool located;         // the file's EXIF says where it was taken
     double located_at[3]; // of struct rn_image_info
-    int turn;       // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
-    int bars[4];    // pixels that are cut off then, at the left, top, right and bottom: `camera` is
-                    // of what is left
-    double gain[3]; // how bright its stored values are against the other photographs', by
-                    // channel; 0: not measured
-    int photo;      // which photograph it is of, for struct rn_sighting
+    int turn;    // the EXIF orientation that is undone when the file is decoded; 0 and 1: none
+    int bars[4]; // pixels that are cut off then, at the left, top, right and bottom: `camera` is
+                 // of what is left
+    struct rn_backdrop backdrop; // the same for all of a dataset's
+    double gain[3];   // how bright its stored values are against the other photographs', by
+                      // channel; 0: not measured
+    int photo;        // which photograph it is of, for struct rn_sighting
     double near, far; // along the optical axis, dataset units, as the source gives or its points
                       // say; 0: not known
     struct rn_camera camera;
@@ -169,6 +177,7 @@ struct rn_read_options {
     bool up_given, cropped;
     double up[3];       // of any length above 0
     struct rn_box crop; // only points in it say where the scene is, and it lies in the bounds
+    bool keep_backdrop; // one that photographs stand on is a part of the scene
     // The photographs as they were taken, by the same names: what their EXIF said holds for copies
     // that lost it. NULL: none.
     const struct rn_photos *taken;

@@ -72,6 +72,7 @@ struct rn_frame rn_import_place(const struct rn_frame *view,
     place.scale = view->scale + level;
     place.loss_weight = ldexp(view->loss_weight, 2 * level);
     place.camera = rn_camera_resized(&view->camera, width, height);
+    place.backdrop.to_cut = false;
     place.name = place.path = place.mask_path = NULL;
     return place;
 }
@@ -147,7 +148,7 @@ static uint8_t *keep_file(const struct import *import, const struct rn_frame *vi
     scaled_size(view, import->options, level, &width, &height);
     static const int none[4];
     bool same = width == view->camera.width && height == view->camera.height && view->turn <= 1 &&
-                memcmp(view->bars, none, sizeof none) == 0;
+                !view->backdrop.to_cut && memcmp(view->bars, none, sizeof none) == 0;
     return same && rn_image_strip(view->path, NULL, &bytes, ret_size, &why) == RN_OK ? bytes : NULL;
 }
 
@@ -260,6 +261,11 @@ static json_t *lie_to_json(const struct rn_lie *lie) {
                      lie->up[0], lie->up[1], lie->up[2], "up_given", lie->up_given, "crop", crop);
 }
 
+static json_t *backdrop_to_json(const struct rn_backdrop *backdrop) {
+    const uint8_t *c = backdrop->colour;
+    return backdrop->known ? json_pack("[iii]", c[0], c[1], c[2]) : NULL;
+}
+
 static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *target) {
     const struct rn_bounds *bounds = &dataset->bounds;
     json_t *frames = json_array();
@@ -269,16 +275,17 @@ static json_t *dataset_to_json(const struct rn_dataset *dataset, const char *tar
             json_decref(frames);
             return NULL;
         }
-    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o s:s* s:o* s:o}", "format",
-                     RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name", dataset->name,
-                     "source", "layout", dataset->format->name, "downscale",
+    return json_pack("{s:s s:i s:s s:{s:s s:s} s:{s:[fff] s:f s:s} s:o s:s* s:o* s:o* s:o}",
+                     "format", RN_NATIVE_FORMAT, "version", RN_NATIVE_VERSION, "name",
+                     dataset->name, "source", "layout", dataset->format->name, "downscale",
                      rn_downscale_names[dataset->premultiplied_scales ? RN_DOWNSCALE_PREMULTIPLIED
                                                                       : RN_DOWNSCALE_STRAIGHT],
                      "bounds", "centre", bounds->centre[0], bounds->centre[1], bounds->centre[2],
                      "radius", bounds->radius, "source", rn_bounds_source_names[bounds->source],
                      "lie", lie_to_json(&dataset->lie), "points",
                      dataset->points.count ? RN_POINTS_DOCUMENT : NULL, "points_found",
-                     dataset->points.found ? json_true() : NULL, "frames", frames);
+                     dataset->points.found ? json_true() : NULL, "backdrop",
+                     backdrop_to_json(&dataset->frames[0].backdrop), "frames", frames);
 }
 
 static enum rn_status write_json(const struct rn_dataset *dataset, const char *target,

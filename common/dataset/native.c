@@ -180,10 +180,29 @@ static enum rn_status read_source(const struct rn_json *root, struct rn_dataset 
     return RN_OK;
 }
 
+// The colour of the backdrop that an import cut the photographs out of.
+static enum rn_status read_backdrop(const struct rn_json *root, struct rn_dataset *dataset,
+                                    struct rn_error *err) {
+    struct rn_json at;
+    struct rn_backdrop backdrop = {.known = true};
+    double colour[3];
+    if (!rn_json_find(root, "backdrop", &at)) return RN_OK;
+    enum rn_status status = rn_json_matrix(root, "backdrop", 0, 3, colour, err);
+    for (int c = 0; c < 3 && status == RN_OK; c++) {
+        backdrop.colour[c] = (uint8_t)fmin(255, fmax(0, colour[c]));
+        if (backdrop.colour[c] != colour[c])
+            status = rn_json_error(&at, RN_ERROR_INVALID, err, "must be three of 0 to 255");
+    }
+    for (size_t f = 0; f < dataset->frame_count && status == RN_OK; f++)
+        dataset->frames[f].backdrop = backdrop;
+    return status;
+}
+
 static enum rn_status read_document(struct rn_reader *reader, const struct rn_json *root,
                                     void *context, struct rn_error *err) {
-    static const char *const known[] = {"format", "version", "name",         "source", "bounds",
-                                        "lie",    "points",  "points_found", "frames", NULL};
+    static const char *const known[] = {"format", "version",  "name",   "source",
+                                        "bounds", "lie",      "points", "points_found",
+                                        "frames", "backdrop", NULL};
     static const char *const formats[] = {RN_NATIVE_FORMAT};
     struct rn_dataset *dataset = reader->dataset;
     const char *name;
@@ -201,7 +220,8 @@ static enum rn_status read_document(struct rn_reader *reader, const struct rn_js
     free(dataset->name);
     dataset->name = strdup(name);
     if (!dataset->name) return rn_json_error(root, RN_ERROR_NO_MEMORY, err, "out of memory");
-    return read_frames(reader, root, err);
+    status = read_frames(reader, root, err);
+    return status ? status : read_backdrop(root, dataset, err);
 }
 
 static enum rn_status read_native(struct rn_reader *reader, struct rn_error *err) {

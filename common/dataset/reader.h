@@ -132,6 +132,16 @@ void rn_reader_warn_unknown(struct rn_reader *reader, const struct rn_json *obje
 // Alpha channels that are opaque everywhere, by some photographs, cut nothing out: they are told
 // and taken for none.
 void rn_reader_settle_alpha(struct rn_reader *reader);
+// Whether black bars lie along an edge of all photographs (rn_dataset_cut_bars).
+bool rn_dataset_has_bars(const struct rn_dataset *dataset);
+// Where photographs without masks, bars and alpha stand on one colour, by eight of them, it is cut
+// off when they are decoded, unless it is to be kept: either is told.
+void rn_reader_settle_backdrop(struct rn_reader *reader);
+// Makes transparent what is of the colour, to 4 of 255, from the edges on, and partly so the pixels
+// beside it: over the colour the image stays what it was, to 4 and the rounding. RN_ERROR_NO_MEMORY
+// leaves it as it is.
+enum rn_status rn_backdrop_cut(const uint8_t colour[3], struct rn_image *image,
+                               struct rn_error *err) RN_MUST_CHECK;
 // How near the point, dataset units, the rays through all but little of what alpha channels cut out
 // pass; NAN where they cut out nothing that can be decoded.
 double rn_outline_reach(const struct rn_dataset *dataset, const double point[3]);

@@ -25,7 +25,6 @@
 #define OFF_PX 2.0   // mean reprojection error of a photograph that is worth a word
 #define GAP_DEG 60   // without a photograph of what is turned around
 #define NAMES 8      // told
-#define PLAIN 2      // of 255, by which the edges of pictures of one colour differ
 
 #define FORWARD "puts planes over the disparity between near and far (effect forward-facing)"
 #define ROUND "contracts space to infinity (effect unbounded)"
@@ -35,8 +34,7 @@ struct look {
     int index, scale;
     float sharpness, brightness;
     uint8_t thumb[THUMB * THUMB];
-    uint8_t edge[3];          // the colour of the picture's corner
-    bool seen, hidden, plain; // plain: that of its whole edge too
+    bool seen, hidden;
 };
 
 struct rn_survey {
@@ -109,22 +107,6 @@ static void take_thumb(const float *grey, int width, int height, struct look *lo
     look->brightness = (float)(sum / (THUMB * THUMB));
 }
 
-static bool is_near(const uint8_t a[3], const uint8_t b[3]) {
-    return abs(a[0] - b[0]) <= PLAIN && abs(a[1] - b[1]) <= PLAIN && abs(a[2] - b[2]) <= PLAIN;
-}
-
-static void take_edge(const struct rn_image *image, struct look *look) {
-    size_t width = (size_t)image->width, height = (size_t)image->height;
-    const uint8_t *first = image->pixels, *last = first + 4 * width * (height - 1);
-    memcpy(look->edge, first, sizeof look->edge);
-    look->plain = true;
-    for (size_t x = 0; x < width; x++)
-        look->plain &= is_near(first, first + 4 * x) && is_near(first, last + 4 * x);
-    for (size_t y = 0; y < height; y++)
-        look->plain &= is_near(first, first + 4 * width * y) &&
-                       is_near(first, first + 4 * (width * y + width - 1));
-}
-
 void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
                     const struct rn_image *image, bool hidden) {
     if (!survey) return;
@@ -132,7 +114,6 @@ void rn_survey_look(struct rn_survey *survey, const struct rn_frame *frame,
     look->hidden = hidden;
     int cell, width, height;
     rn_exposures_look(survey->exposures, frame, image);
-    take_edge(image, look);
     float *grey = rn_grey(image, SIDE, &cell, &width, &height);
     if (!grey) return; // not measured, then
     look->sharpness = sharpness(grey, width, height);
@@ -268,23 +249,6 @@ static void find_hidden(const struct all *all) {
                         "%zu photographs are left out as a whole, since their masks are black "
                         "everywhere: %s; what is used must be white",
                         names.count, names.text);
-}
-
-// What was cut out and put on one colour is trained as a place of that colour.
-static void find_plain_ground(const struct all *all) {
-    for (size_t i = 0; i < all->count; i++) {
-        const struct look *look = all->looks[i];
-        if (!look->seen || !look->plain || !is_near(look->edge, all->looks[0]->edge) ||
-            all->frames[i]->has_alpha || all->frames[i]->mask_path)
-            return;
-    }
-    const uint8_t *edge = all->looks[0]->edge;
-    rn_problems_add(
-        all->problems, RN_SEVERITY_INFO, all->dataset->name,
-        "all along the edges of all photographs is one colour, %d,%d,%d: where it stands "
-        "for nothing, an alpha channel that cuts it out makes pictures sharper and "
-        "quicker",
-        edge[0], edge[1], edge[2]);
 }
 
 static double thumb_difference(const struct look *a, const struct look *b) {
@@ -542,7 +506,6 @@ enum rn_status rn_survey_conclude(struct rn_survey *survey, struct rn_dataset *d
         if (all.looked) find_blurred(&all, place.distance);
         if (all.looked) find_duplicates(&all, place.distance);
         find_hidden(&all);
-        if (all.count > 1) find_plain_ground(&all);
         find_looking_away(&all);
         find_coverage(&all);
         find_exposure(&all, survey, dataset);

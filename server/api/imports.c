@@ -41,8 +41,9 @@ static enum rn_status read_choice(struct rn_request *request, const char *key,
 // Name and options of an upload stand in the query.
 static enum rn_status read_query(struct rn_request *request, const char **ret_name,
                                  struct rn_ingest_options *options, struct rn_error *err) {
-    static const char *const known[] = {"name", "max_size", "scales", "alpha", "split", "bounds",
-                                        "up",   "crop",     "format", "masks", "poses", NULL};
+    static const char *const known[] = {"name",   "max_size", "scales", "alpha",  "split",
+                                        "bounds", "up",       "crop",   "format", "masks",
+                                        "poses",  "backdrop", NULL};
     const char *name = rn_request_query(request, "name");
     char checked[RN_NAME_MAX];
     enum rn_status status;
@@ -57,6 +58,7 @@ static enum rn_status read_query(struct rn_request *request, const char **ret_na
         (status = read_number(request, "scales", 1, 8, &options->scales, err)) ||
         (status = read_choice(request, "alpha", rn_downscale_names, &options->alpha, err)) ||
         (status = read_choice(request, "poses", rn_poses_names, &options->poses, err)) ||
+        (status = read_choice(request, "backdrop", rn_backdrop_names, &options->backdrop, err)) ||
         (status = TEXT(split, rn_check_split_spec)) || (status = TEXT(bounds, rn_check_bounds)) ||
         (status = TEXT(up, rn_check_up)) || (status = TEXT(crop, rn_check_crop)) ||
         (status = TEXT(format, rn_check_format)) || (status = TEXT(masks, rn_check_inner_path)))

@@ -167,6 +167,29 @@ def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
                                  picture("uncorrected", "as-taken")).getbbox() is None
 
 
+def test_photographs_that_stand_on_one_colour(client):
+    """What stands on it is cut out, and pictures stand on it too; unless it is to be kept."""
+    client.run("synth", "sphere", "standing", "--size", 24, "--views", 6)
+    colour = (210, 255, 240)
+    for path in (client.cwd / "standing").rglob("*.png"):
+        under = Image.new("RGBA", (24, 24), colour)
+        under.alpha_composite(Image.open(path))
+        under.convert("RGB").save(path)
+    for choice, cut in (("cut", True), ("keep", False)):
+        told = client.run("import", "standing", "--name", choice, "--backdrop", choice)
+        assert "all photographs stand on one colour, 210,255,240" in told.stdout + told.stderr
+        assert client.json("show", choice)["has_alpha"] == cut
+        client.run("train", choice, "--name", f"on-{choice}", "--preset", "draft", "--max-steps",
+                   STEPS, "--threads", 1, "--wait")
+        effect = next(effect for effect in client.json("show", f"on-{choice}")["effects"]
+                      if effect["name"] == "background")
+        assert effect["on"] == cut and ("from the colour 210,255,240" in effect["reason"]) == cut
+        client.run("render", f"on-{choice}", "--view", "test:0", "-o", "p.png")
+        corner = Image.open(client.cwd / "p.png").convert("RGB").getpixel((0, 0))
+        assert (corner == colour) == cut
+    assert "--backdrop" in client.run("import", "standing", "--backdrop", "off", code=USAGE).stderr
+
+
 def test_bytes_do_not_depend_on_threads_or_pauses(client, daemon, gate, trained):
     end, _ = trained
     gate.touch()  # or it might be over before the client has started

@@ -1,9 +1,15 @@
 // The background: photographs that alpha opens to it are carved by their alpha, composited over
-// it, and for a while over random ones, so that what is empty becomes so.
+// it, and for a while over random ones, so that what is empty becomes so. Photographs that were cut
+// from the colour they stood on are composited over that alone: whether it shows through where the
+// outline is closed, or what stands before it is of that colour, they do not say.
 #include <stdio.h>
 #include <string.h>
 
 #include "server/engine/effects/effects.h"
+
+static const struct rn_backdrop *backdrop_of(const struct rn_evidence *e) {
+    return &e->photographs->frames[0].frame->backdrop;
+}
 
 static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     const struct rn_pixels *p = e->photographs;
@@ -18,16 +24,24 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     r->number = (double)open / (double)p->pixel_count;
     r->on =
         rn_effect_choose(&e->field->config, RN_EFFECT_BACKGROUND, true, r->number > r->threshold);
-    snprintf(r->reason, sizeof r->reason, "%.1f %% of the training pixels have alpha below 255",
-             100 * r->number);
+    const struct rn_backdrop *backdrop = backdrop_of(e);
+    const uint8_t *c = backdrop->colour;
+    char cut[64] = "";
+    if (backdrop->known)
+        snprintf(cut, sizeof cut, ", cut from the colour %d,%d,%d they stood on", c[0], c[1], c[2]);
+    snprintf(r->reason, sizeof r->reason, "%.1f %% of the training pixels have alpha below 255%s",
+             100 * r->number, cut);
 }
 
 static void settle(const struct rn_evidence *e) {
     struct rn_train_config *config = &e->field->config;
-    if (e->field->effects[RN_EFFECT_BACKGROUND].on) return;
-    config->carve = false;
+    const struct rn_backdrop *backdrop = backdrop_of(e);
+    bool on = e->field->effects[RN_EFFECT_BACKGROUND].on;
+    if (on && !backdrop->known) return;
+    config->carve = config->carve && on;
     config->random_background = 0;
-    memset(config->background, 0, sizeof config->background);
+    for (int c = 0; c < 3; c++)
+        config->background[c] = on ? (float)backdrop->colour[c] / 255 : 0;
 }
 
 // Over random backgrounds the loss is the mean over all whose channels are 0 or 1.

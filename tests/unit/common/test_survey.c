@@ -211,29 +211,6 @@ START_TEST(cameras_that_are_soft) {
 }
 END_TEST
 
-// White along all edges, but for a pixel of one photograph's in the second case.
-START_TEST(cut_out_on_white) {
-    put_ring();
-    for (int i = 0; i < VIEWS; i++) {
-        char name[32];
-        struct rn_image image = noise(SIZE, SIZE, (uint64_t)i + 1);
-        snprintf(name, sizeof name, "train/r_%d.png", i);
-        image.has_alpha = false;
-        for (int at = 0; at < SIZE * SIZE; at++) {
-            int x = at % SIZE, y = at / SIZE;
-            bool ground = x < 4 || y < 4 || x >= SIZE - 4 || y >= SIZE - 4;
-            if (ground) memset(image.pixels + 4 * at, 254 + at % 2, 3);
-            image.pixels[4 * at + 3] = 255;
-        }
-        if (_i == 1 && i == 5) image.pixels[4 * (SIZE * 9 + SIZE - 1)] = 200;
-        ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
-        rn_image_finish(&image);
-    }
-    survey();
-    ck_assert_int_eq(tells("is one colour, 254,254,254: where it stands for nothing"), _i == 0);
-}
-END_TEST
-
 START_TEST(duplicates) {
     again = _i == 0;
     put_ring();
@@ -420,7 +397,6 @@ int main(void) {
     tcase_add_test(tests, cost);
     tcase_add_test(tests, blur);
     tcase_add_test(tests, names_in_no_order);
-    tcase_add_loop_test(tests, cut_out_on_white, 0, 2);
     tcase_add_loop_test(tests, cameras_that_are_soft, 0, 4);
     tcase_add_loop_test(tests, duplicates, 0, 2);
     tcase_add_test(tests, tests_of_what_is_learnt_by_heart);

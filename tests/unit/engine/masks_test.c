@@ -1,5 +1,6 @@
-// What training makes of masks that leave out a few pixels, of those that cut an object out, and of
-// exposures that were measured: of a procedural sphere, small, whose alpha channel becomes masks.
+// What training makes of masks that leave out a few pixels, of those that cut an object out, of
+// exposures that were measured, and of a backdrop: of a procedural sphere, small, whose alpha
+// channel becomes masks.
 #include <math.h>
 #include <stdlib.h>
 #include <unistd.h>
@@ -217,6 +218,26 @@ START_TEST(exposures_are_made_even) {
 }
 END_TEST
 
+// Photographs that were cut from what they stood on are composited over its colour from the first
+// step on, others over random ones at first.
+START_TEST(cut_from_a_backdrop) {
+    static const uint8_t colour[3] = {0, 51, 255};
+    for (size_t f = 0; f < dataset->frame_count; f++) {
+        dataset->frames[f].backdrop.known = _i == 1;
+        memcpy(dataset->frames[f].backdrop.colour, colour, sizeof colour);
+    }
+    struct rn_trainer *trainer = make_trainer();
+    const struct rn_field *field = rn_trainer_field(trainer);
+    const struct rn_effect_record *record = &field->effects[RN_EFFECT_BACKGROUND];
+    ck_assert(record->on && field->config.carve);
+    ck_assert_int_eq(field->config.random_background > 0, _i == 0);
+    ck_assert_int_eq(strstr(record->reason, "from the colour 0,51,255") != NULL, _i == 1);
+    for (int c = 0; c < 3; c++)
+        ck_assert_float_eq(field->config.background[c], _i == 0 ? 1 : (float)colour[c] / 255);
+    rn_trainer_destroy(&trainer);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("masks");
     TCase *tests = tcase_create("masks");
@@ -226,6 +247,7 @@ int main(void) {
     tcase_add_test(tests, masks_that_leave_out_little);
     tcase_add_test(tests, masks_that_cut_out_on_request);
     tcase_add_test(tests, exposures_are_made_even);
+    tcase_add_loop_test(tests, cut_from_a_backdrop, 0, 2);
     suite_add_tcase(suite, tests);
     return run_suite(suite);
 }

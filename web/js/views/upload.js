@@ -145,6 +145,11 @@ function importOptions() {
         autocomplete: 'off'
       }),
       {pointer: '/options/masks', hint: 'Folder below the dataset’s; black is left out'});
+  const backdrop = choice(
+      'Backdrop', [['cut', 'cut off'], ['keep', 'a part of the scene']], 'cut', {
+        pointer: '/options/backdrop',
+        hint: 'One colour that all photographs stand on'
+      });
   const values = () => {
     const options = {};
     if (format.control.value) options.format = format.control.value;
@@ -152,6 +157,7 @@ function importOptions() {
 
     if (size.control.value) options.max_size = Number(size.control.value);
     if (scales.control.value) options.scales = Number(scales.control.value);
+    if (backdrop.control.value !== 'cut') options.backdrop = backdrop.control.value;
     if (alpha.control.value !== 'premultiplied') options.alpha = alpha.control.value;
     if (split.control.value) options.split = `every:${split.control.value}`;
     for (const [name, {control}] of Object.entries({bounds, up, crop})) {
@@ -162,7 +168,8 @@ function importOptions() {
   const node = h(
       'details', null, h('summary', null, 'Import options'),
       h('div', {class: 'form-grid'}, size.node, scales.node, split.node, bounds.node,
-          up.node, crop.node, format.node, masks.node, alpha.node));
+          up.node, crop.node, format.node, masks.node, alpha.node,
+          backdrop.node));
   /** What a row of the report's choices says; told as a change by hand is. */
   const take = (choice) => {
     size.control.value = choice.max_size ?? '';
@@ -170,7 +177,7 @@ function importOptions() {
     split.control.value = choice.split?.split(':')[1] ?? '';
     node.dispatchEvent(new Event('change'));
   };
-  return {node, values, take, fields: [size, scales, alpha, split, bounds, up, crop, format, masks]};
+  return {node, values, take, fields: [size, scales, alpha, split, bounds, up, crop, format, masks, backdrop]};
 }
 
 const REFUSED = 'An import would be refused for what is told of the dataset here. It can be sent with ' +
