@@ -177,6 +177,16 @@ def test_what_a_budget_became_stays_it(make_daemon, photographs, kind, more, kil
         assert again["result"]["expected_psnr"] == 20 and again["result"]["expected_spread"] == 0.5
 
 
+@pytest.mark.parametrize("kind, more", [("path", {"camera_path": PATH}), ("eval", {})])
+def test_a_job_knows_how_slow_pictures_are_now(slow, kind, more):
+    """The curve says that the full picture takes a millisecond, and it takes 20 and more."""
+    write_curve(slow, {"subsample": 8})
+    for within, setting in ((10, "subsample=8"), (60000, "full")):
+        job = slow.wait(slow.submit(type=kind, scene="ready", options={"within_ms": within}, **more))
+        assert job["state"] == "succeeded", job
+        assert job["result"]["setting"] == setting
+
+
 def write_curve(daemon, cheapest, **other):
     """As if it had been measured: the cheapest way and the full picture."""
     (scene,) = Path(daemon.data).glob("scenes/*")

@@ -11,6 +11,7 @@
 
 #define JPEG_GROWTH 1.5  // power of a file's size that its error goes by, about
 #define JPEG_COUNTS 0.85 // of a JPEG's error; the rest is of detail that was wrong
+#define MOST_LOOKS 4     // at how long pictures take, before a job gets the quickest ones
 #define SHARPER_DB 1.0   // more than when it was measured what a JPEG takes
 
 // Of a pixel, before one was encoded.
@@ -80,35 +81,88 @@ static bool has_settings(const union rn_setting_value settings[RN_RENDER_SETTING
     return false;
 }
 
+// How long a picture takes here and now, beside what else the cores do: the quicker of two, as the
+// first may have memory to fetch.
+static enum rn_status time_picture(struct rn_work *work, struct rn_field *field,
+                                   const struct rn_camera *camera,
+                                   const struct rn_curve_point *point, double *ret_ms,
+                                   struct rn_error *err) {
+    struct rn_render_options options = {.camera = *camera, .outputs = RN_OUTPUT_RGB};
+    rn_settings_put(&rn_render_settings, point->setting.values, &options.settings);
+    *ret_ms = INFINITY;
+    for (int i = 0; i < 2; i++) {
+        struct rn_render_result result;
+        int64_t begin_ns = rn_clock_ns();
+        enum rn_status status =
+            rn_render(work->host->engine, field, &options, rn_work_keep_going, work, &result, err);
+        if (status) return status;
+        *ret_ms = fmin(*ret_ms, (double)(rn_clock_ns() - begin_ns) * 1e-6);
+        rn_render_result_finish(&result);
+    }
+    return RN_OK;
+}
+
+// The best point of the curve within a time for all pictures of a job, the quickest where none is.
+// Where pictures are slower now than those that the curve says are the slowest, for what trains
+// beside them, say, less of the curve fits.
+static enum rn_status choose_within(struct rn_work *work, struct rn_field *field,
+                                    const struct rn_camera *camera, const struct rn_curve *curve,
+                                    double ms, size_t *ret_point, struct rn_error *err) {
+    double pixels = (double)camera->width * camera->height, slowness = 1, took_ms;
+    double scale = pixels / rn_curve_pixels(curve);
+    bool missed;
+    for (int look = 0; look < MOST_LOOKS; look++) {
+        *ret_point = rn_curve_choose(curve, RN_BUDGET_TIME, ms / slowness, pixels, NAN, &missed);
+        if (*ret_point == 0) return RN_OK;
+        const struct rn_curve_point *point = &curve->points[*ret_point];
+        enum rn_status status = time_picture(work, field, camera, point, &took_ms, err);
+        if (status || took_ms <= ms) return status;
+        slowness = fmax(slowness, took_ms / (point->ms_p95 * scale));
+    }
+    *ret_point = 0;
+    return RN_OK;
+}
+
 // *ret_changed: the settings are others.
-static void resolve(struct rn_host *host, const struct rn_field_info *info, double pixels,
-                    union rn_setting_value settings[RN_RENDER_SETTINGS], bool *ret_changed) {
+static enum rn_status resolve(struct rn_work *work, struct rn_field *field,
+                              const struct rn_camera *camera,
+                              union rn_setting_value settings[RN_RENDER_SETTINGS],
+                              bool *ret_changed, struct rn_error *err) {
     struct chosen_curve found;
+    struct rn_field_info info;
     double number;
+    size_t point;
     bool missed;
     enum rn_budget_kind kind = rn_budget_of(settings, &number);
     *ret_changed = kind != RN_BUDGET_NONE && !has_settings(settings);
-    if (!*ret_changed) return;
-    find_curve(host, &found);
-    size_t point = rn_curve_choose(&found.curve, kind, number, pixels, info->psnr, &missed);
+    if (!*ret_changed) return RN_OK;
+    find_curve(work->host, &found);
+    rn_field_describe(field, &info);
+    if (kind == RN_BUDGET_TIME) {
+        enum rn_status status =
+            choose_within(work, field, camera, &found.curve, number, &point, err);
+        if (status) return status;
+    } else {
+        point = rn_curve_choose(&found.curve, kind, number, NAN, info.psnr, &missed);
+    }
     put_settings(&found.curve.points[point], settings);
     // The full picture's settings are none: what says so, so that the budget is resolved once.
     if (!has_settings(settings))
         *rn_settings_value(&rn_render_settings, settings, "tolerance") =
             (union rn_setting_value){.number = 0};
+    return RN_OK;
 }
 
-enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field, double pixels,
+enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field,
+                                const struct rn_camera *camera,
                                 union rn_setting_value settings[RN_RENDER_SETTINGS],
                                 const struct rn_table *table, const void *options,
                                 struct rn_error *err) {
     struct rn_wire_resolved resolved = {.options = NULL};
-    struct rn_field_info info;
     bool changed;
-    rn_field_describe(field, &info);
-    resolve(work->host, &info, pixels, settings, &changed);
-    if (!changed) return RN_OK;
-    enum rn_status status = rn_encode(table, options, &resolved.options, NULL, err);
+    enum rn_status status = resolve(work, field, camera, settings, &changed, err);
+    if (status || !changed) return status;
+    status = rn_encode(table, options, &resolved.options, NULL, err);
     if (status) return status;
     snprintf(resolved.job, sizeof resolved.job, "%s", work->job);
     rn_link_post(&work->host->link, RN_WIRE_RESOLVED, &resolved, NULL, 0);

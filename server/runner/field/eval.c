@@ -92,10 +92,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     if (status) return status;
     eval->scores = calloc(work->total, sizeof *eval->scores);
     if (!eval->scores) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    const struct rn_camera *camera = &eval->frames[0]->camera;
-    return rn_budget_settle(work, field, (double)camera->width * camera->height,
-                            eval->request.options.settings, &rn_eval_options_table,
-                            &eval->request.options, err);
+    return rn_budget_settle(work, field, &eval->frames[0]->camera, eval->request.options.settings,
+                            &rn_eval_options_table, &eval->request.options, err);
 }
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {

@@ -113,9 +113,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
         if (status) return status;
     }
     struct rn_camera camera = frame_camera(path, 0);
-    return rn_budget_settle(work, field, (double)camera.width * camera.height,
-                            path->request.options.settings, &rn_path_options_table,
-                            &path->request.options, err);
+    return rn_budget_settle(work, field, &camera, path->request.options.settings,
+                            &rn_path_options_table, &path->request.options, err);
 }
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
