@@ -119,22 +119,20 @@ END_TEST
 
 // ---- which photographs do
 
+static void put_view(int i) {
+    char name[32];
+    snprintf(name, sizeof name, "train/r_%d.png", i);
+    ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
+}
+
 static void put_views(void) {
     char frames[4096] = "";
     for (int i = 0; i < VIEWS; i++) {
-        char name[32];
-        snprintf(name, sizeof name, "train/r_%d.png", i);
-        ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
+        put_view(i);
         snprintf(frames + strlen(frames), sizeof frames - strlen(frames),
                  "%s{\"file_path\":\"train/r_%d\",\"transform_matrix\":" POSE "}", i ? "," : "", i);
     }
     put_transforms("train", frames);
-}
-
-static void put_view(int i, const char *extension) {
-    char name[32];
-    snprintf(name, sizeof name, "train/r_%d%s", i, extension);
-    ck_assert_int_eq(rn_image_write_png(&image, in_folder(name), 1, &err), RN_OK);
 }
 
 static bool is_cut(void) {
@@ -174,7 +172,7 @@ START_TEST(on_one_colour) {
     }
     for (int i = 0; i < kinds[_i].cut_off; i++)
         memset(at(i % W, H - 1 - i / W * (H - 1)), 90, 3);
-    put_view(kinds[_i].other, ".png");
+    put_view(kinds[_i].other);
     if (kinds[_i].mask) {
         fill(255, 255, 255);
         char name[32];
