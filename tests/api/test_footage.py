@@ -1,11 +1,11 @@
 """Films that go wrong: an answer in words, in bounded time and memory, and nothing stays of them."""
 
-import io
 import os
-import tarfile
 from pathlib import Path
 
 import pytest
+
+from support.checked import tar_of
 
 SUPPORT = Path(__file__).parents[1] / "support"
 # How the film goes wrong, by fake_ffmpeg.py; the answer's status; words of it.
@@ -24,11 +24,7 @@ FILMS = {
 
 
 def send(daemon, content=b"film"):
-    archive, entry = io.BytesIO(), tarfile.TarInfo("walk.mp4")
-    entry.size = len(content)
-    with tarfile.open(fileobj=archive, mode="w") as tar:
-        tar.addfile(entry, io.BytesIO(content))
-    reply = daemon.request("POST", "/v1/datasets?name=walk&poses=find", archive.getvalue(),
+    reply = daemon.request("POST", "/v1/datasets?name=walk&poses=find", tar_of({"walk.mp4": content}),
                            {"Content-Type": "application/x-tar"})
     assert reply.status == 202, reply.body
     return daemon.wait(reply.json["id"])

@@ -1,18 +1,16 @@
 """The life of what is stored: backed up and restored, kept and cleaned up, brought up to date."""
 
-import io
 import os
 import re
 import signal
 import sqlite3
 import subprocess
-import tarfile
 import threading
 from pathlib import Path
 
 import pytest
 
-from support.checked import Daemon
+from support.checked import Daemon, tar_of
 from support.waiting import PATIENCE_S, wait_for
 
 PATH = {"axes": "opengl", "fps": 2, "interpolation": "linear", "loop": False, "width": 8, "height": 8,
@@ -234,22 +232,12 @@ def test_backups_while_much_is_written(full, run, programs, tmp_path):
             assert restored.post("/v1/scenes/ready/render", RENDER).status == 200
 
 
-def archive_of(members):
-    file = io.BytesIO()
-    with tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for name, data in members.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(data)
-            tar.addfile(info, io.BytesIO(data))
-    return file.getvalue()
-
-
 @pytest.mark.parametrize("bytes_, words", [
     (b"", "its end is missing"), (b"x" * 5000, "a header is wrong"),
-    (archive_of({"a": b"x"}), "it has no records"),
-    (archive_of({"ripnerf.db": b"x", "../a": b"x"}), "a name is not safe"),
-    (archive_of({"/tmp/a": b"x"}), "a name is not safe"),
-    (archive_of({"ripnerf.db": b"x" * 9000})[:5000], "its end is missing")])
+    (tar_of({"a": b"x"}), "it has no records"),
+    (tar_of({"ripnerf.db": b"x", "../a": b"x"}), "a name is not safe"),
+    (tar_of({"/tmp/a": b"x"}), "a name is not safe"),
+    (tar_of({"ripnerf.db": b"x" * 9000})[:5000], "its end is missing")])
 def test_what_is_no_backup_restores_nothing(run, tmp_path, bytes_, words):
     (tmp_path / "a.tar").write_bytes(bytes_)
     assert words in run("restore", tmp_path / "a.tar", tmp_path / "new", code=1)

@@ -1,15 +1,13 @@
 """Uploads in parts: they go on after a lost connection and after a restart, and become one dataset."""
 
-import io
 import json
 import os
 import socket
-import tarfile
 from pathlib import Path
 
 import pytest
 
-from support.checked import Daemon, make_tar
+from support.checked import Daemon, make_tar, tar_of
 from support.client import Client
 from support.fake_daemon import FakeDaemon
 from support.photographs import write_blank_dataset
@@ -108,13 +106,7 @@ SPOILT = {"no layout": {"notes.txt": b"hello"},
 
 def in_parts(daemon, files):
     """The upload's id: of files, sent whole."""
-    packed = io.BytesIO()
-    with tarfile.open(fileobj=packed, mode="w", format=tarfile.USTAR_FORMAT) as out:
-        for name, body in files.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(body)
-            out.addfile(info, io.BytesIO(body))
-    packed = packed.getvalue()
+    packed = tar_of(files)
     upload = begin(daemon, len(packed))
     assert send(daemon, upload, 0, packed).status == 204
     return upload

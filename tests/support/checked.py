@@ -292,3 +292,14 @@ def make_tar(folder):
     with tarfile.open(fileobj=archive, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         tar.add(folder, arcname=".")
     return archive.getvalue()
+
+
+def tar_of(files):
+    """A tar of files that lie nowhere: bytes by name."""
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, content in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            tar.addfile(info, io.BytesIO(content))
+    return archive.getvalue()
