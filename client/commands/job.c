@@ -195,6 +195,9 @@ static enum rn_exit run_train(struct rn_client *client, const void *context, con
     const struct train_options *options = context;
     char job[RN_ID_MAX], *answer = NULL;
     struct rn_error err;
+    if (options->name && options->estimate)
+        return rn_client_usage("", "--name and --estimate exclude each other: an estimate leaves "
+                                   "no scene to name");
     if (!options->name && !options->estimate) return rn_name_missing("train", args[0]);
     if (rn_train_choice_check(options->settings, &err) != RN_OK) {
         char flag[64];

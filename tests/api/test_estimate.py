@@ -197,6 +197,8 @@ def test_the_client_tells(daemon, build, tmp_path):
     assert " of memory, " in words and " on disk; measured in " in words
     told = client.json("train", "data", "--estimate", "--max-time", "60s")
     assert told["seconds"] == 60 and told["calibration"]["threads"] >= 1
+    told = client.run("train", "data", "--estimate", "--name", "a", "--max-time", "60s", code=2)
+    assert "--name and --estimate exclude each other" in told.stderr
     assert daemon.get("/v1/scenes").json["items"] == []
     client.run("train", "data", "--name", "a", "--max-time", "60s", "--wait")
     words = client.run("train", "data", "--estimate", "--max-time", "60s").stdout
