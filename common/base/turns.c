@@ -31,3 +31,13 @@ int64_t rn_turns_next_ns(const struct rn_turns *turns, int64_t now_ns) {
         if (now_ns < ends[i]) return ends[i];
     return INT64_MAX;
 }
+
+void rn_turns_worked(struct rn_turns *turns, int64_t took_ns, int64_t now_ns) {
+    turns->rest_until_ns = now_ns + (int64_t)((1 / RN_TURNS_SHARE - 1) * (double)took_ns);
+}
+
+int64_t rn_turns_rest_ns(const struct rn_turns *turns, int64_t now_ns) {
+    int64_t until_ns = turns->rest_until_ns;
+    if (until_ns > turns->wait_until_ns) until_ns = turns->wait_until_ns; // pictures are not near
+    return until_ns > now_ns ? until_ns - now_ns : 0;
+}

@@ -13,6 +13,7 @@
 struct rn_turns {
     int64_t ended_ns; // when the last picture was there; 0: there was none
     int64_t own_until_ns, free_until_ns, wait_until_ns;
+    int64_t rest_until_ns; // of work that is not cut short
 };
 enum rn_turn {
     RN_TURN_FREE,  // the work goes on, and lets a picture that comes go first
@@ -27,5 +28,10 @@ void rn_turns_end(struct rn_turns *turns, int64_t began_ns, int64_t ended_ns, in
 enum rn_turn rn_turns_at(const struct rn_turns *turns, int64_t now_ns);
 // When the turn after `now_ns` begins, if no picture comes; INT64_MAX: none does.
 int64_t rn_turns_next_ns(const struct rn_turns *turns, int64_t now_ns);
+// Work in pieces that lets pictures go first but cannot be cut short: one took so long. Where
+// pictures follow one another the next piece waits until that was its share.
+void rn_turns_worked(struct rn_turns *turns, int64_t took_ns, int64_t now_ns);
+// How long the next piece is to wait, if no picture comes; 0: it may begin.
+int64_t rn_turns_rest_ns(const struct rn_turns *turns, int64_t now_ns);
 
 #endif

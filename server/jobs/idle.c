@@ -18,6 +18,15 @@ void rn_idle_want_curve(struct rn_control *control, const char *scene) {
     control->curves_wanted++;
 }
 
+void rn_idle_has_curve(struct rn_control *control, const char *scene) {
+    int kept = 0;
+    for (int i = 0; i < control->curves_wanted; i++)
+        if (strcmp(control->curve_wanted[i], scene) != 0)
+            memmove(control->curve_wanted[kept++], control->curve_wanted[i],
+                    sizeof *control->curve_wanted);
+    control->curves_wanted = kept;
+}
+
 static bool is_idle(const struct rn_control *control, int64_t since_ns) {
     for (const struct rn_task *task = control->tasks; task != NULL; task = task->next)
         if (!rn_job_is_over(task->row.state)) return false;

@@ -307,8 +307,10 @@ void rn_ladders_work(struct rn_control *control);
 bool rn_ladder_has(const struct rn_control *control, const char *job);
 void rn_ladder_free(struct rn_ladder *ladder);
 
-// idle.c: a scene has new parameters; what there is time for; someone wants something.
+// idle.c: a scene has new parameters; its curve was measured; what there is time for; someone wants
+// something.
 void rn_idle_want_curve(struct rn_control *control, const char *scene);
+void rn_idle_has_curve(struct rn_control *control, const char *scene);
 void rn_idle_work(struct rn_control *control);
 void rn_idle_stop(struct rn_control *control);
 

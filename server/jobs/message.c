@@ -366,6 +366,7 @@ static enum rn_status end_other(struct rn_control *control, struct rn_task *task
     rn_task_happened(control, task, RN_JOB_DONE);
     if (task->row.type == RN_JOB_TRAIN && !rn_ladder_has(control, task->row.id))
         rn_idle_want_curve(control, task->row.scene);
+    if (task->row.type == RN_JOB_CURVE) rn_idle_has_curve(control, task->row.scene);
     return RN_OK;
 }
 

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -369,6 +370,35 @@ def test_curves_are_measured_in_idle_time(make_daemon, photographs):
     assert daemon.delete("/v1/scenes/other").status == 204
     assert daemon.delete("/v1/scenes/ready").status == 204
     assert daemon.get("/v1/scenes").json["items"] == []
+
+
+def test_jobs_stand_still_between_pictures(make_daemon, photographs):
+    """A picture that follows another waits for a job's frame one time in ten, and no longer than that."""
+    daemon = start(make_daemon, photographs, 20000)
+    job = daemon.submit(type="path", scene="ready", camera_path={**PATH, "width": 8, "height": 1,
+                                                                 "fps": 240})
+    camera = {**CAMERA, "width": 8, "height": 8}
+
+    def done():
+        return (daemon.job(job)["progress"] or {"done": 0})["done"]
+    daemon.eventually(done)
+    before = done()
+    for _ in range(100):
+        assert daemon.post("/v1/scenes/ready/render", {"camera": camera, "quality": 0}).status == 200
+    beside = done() - before
+    assert 0 < beside < 50
+    daemon.eventually(lambda: done() > before + beside + 50)
+
+
+def test_a_measured_curve_is_not_measured_again(make_daemon, photographs):
+    """One asked for before there was time for the one of idle time is as good."""
+    daemon = make_daemon({}, curve_after=1)
+    assert daemon.wait(daemon.upload("data", photographs))["state"] == "succeeded"
+    daemon.train("ready")
+    job = daemon.post("/v1/scenes/ready/curve", {"views": 1}).json["id"]
+    assert daemon.wait(job)["state"] == "succeeded"
+    time.sleep(3)
+    assert [item["id"] for item in daemon.get("/v1/jobs?type=curve").json["items"]] == [job]
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])

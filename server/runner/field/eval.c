@@ -112,8 +112,10 @@ static enum rn_status render_view(struct eval_view *view, struct rn_field *field
     rn_settings_put(&rn_render_settings, eval->request.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     options.fit = rn_effects_fit(info->effects);
+    double lent_ms = rn_work_lent_ms(work);
     enum rn_status status = rn_view_render(work->host->engine, field, frame, &options,
                                            rn_work_keep_going, work, &view->rendered, err);
+    view->rendered.result.stats.render_ms -= rn_work_lent_ms(work) - lent_ms;
     struct rn_depth_score depth = {.median = NAN};
     if (!status && frame->scale == 0)
         status = rn_evaluate_depth(work->host->engine, field, frame, &work->host->dataset->points,

@@ -74,6 +74,15 @@ static bool stands_still(struct rn_host *host) {
     return true;
 }
 
+// The same of a job's next picture, which is not cut short.
+static bool rests(struct rn_host *host) {
+    int64_t now_ns = rn_clock_ns(), left_ns = rn_turns_rest_ns(&host->turns, now_ns);
+    if (left_ns == 0) return false;
+    rn_link_pump(&host->link, (int)(left_ns / 1000000) + 1);
+    rn_training_yielded(host, (double)(rn_clock_ns() - now_ns) * 1e-9);
+    return true;
+}
+
 // ---- what jobs and renders need ------------------------------------------------------------
 
 enum rn_status rn_host_need_engine(struct rn_host *host, const char *device, const char *kernels,
@@ -322,13 +331,18 @@ static void handle_cancel(struct rn_host *host, const struct rn_wire_cancel *can
         rn_log(RN_LOG_DEBUG, "cancel of what has ended");
 }
 
-static void handle_render(struct rn_host *host, struct rn_wire_render *render, int64_t arrived_ns) {
+// Nanoseconds that it took.
+static int64_t serve(struct rn_host *host, struct rn_wire_render *render, int64_t arrived_ns) {
     int64_t begin_ns = rn_clock_ns();
     if (render->deadline_ns != RN_ABSENT) render->deadline_ns += host->clock_ns;
     rn_picture_serve(host, render, arrived_ns);
     int64_t end_ns = rn_clock_ns();
     rn_turns_end(&host->turns, begin_ns, end_ns, (int64_t)(RN_SLICE_MS * 1e6));
-    rn_training_yielded(host, (double)(end_ns - begin_ns) * 1e-9);
+    return end_ns - begin_ns;
+}
+
+static void handle_render(struct rn_host *host, struct rn_wire_render *render, int64_t arrived_ns) {
+    rn_training_yielded(host, (double)serve(host, render, arrived_ns) * 1e-9);
 }
 
 // The job that a message is about; "": none.
@@ -423,8 +437,7 @@ void rn_host_serve_render(struct rn_host *host) {
     if (!rn_link_take_type(&host->link, RN_WIRE_RENDER, &letter)) return;
     const char *before = rn_log_set_trace(NULL);
     if (rn_wire_take(&letter.message, &render, NULL) == RN_OK) {
-        if (render.deadline_ns != RN_ABSENT) render.deadline_ns += host->clock_ns;
-        rn_picture_serve(host, &render, letter.arrived_ns);
+        host->lent_ns += serve(host, &render, letter.arrived_ns);
         rn_message_finish(rn_wire_table(RN_WIRE_RENDER), &render);
     }
     rn_wire_message_finish(&letter.message);
@@ -450,9 +463,12 @@ static bool handle_letters(struct rn_host *host) {
 // Path and evaluation jobs go first, and a training waits: so all of their pictures show one step.
 static void do_some_work(struct rn_host *host) {
     if (host->works && !rn_training_is_ending(host)) {
-        int64_t begin_ns = rn_clock_ns();
+        if (rests(host)) return;
+        int64_t begin_ns = rn_clock_ns(), lent_ns = host->lent_ns;
         rn_work_unit(host);
-        rn_training_yielded(host, (double)(rn_clock_ns() - begin_ns) * 1e-9);
+        int64_t end_ns = rn_clock_ns(), spent_ns = end_ns - begin_ns;
+        rn_turns_worked(&host->turns, spent_ns - (host->lent_ns - lent_ns), end_ns);
+        rn_training_yielded(host, (double)spent_ns * 1e-9);
     } else if (stands_still(host)) {
         return;
     } else if (rn_training_is_busy(host)) {

@@ -58,7 +58,8 @@ struct rn_host {
     char set_aside[512];                // the damaged checkpoint found last, and why; "" = none
     struct rn_work *works;              // path, eval, ... jobs, in order; the first is worked on
     struct rn_pace pace;
-    struct rn_turns turns; // of interactive renders and of what trains
+    struct rn_turns turns; // of interactive renders and of what works
+    int64_t lent_ns;       // to renders that jobs let go first, in all
     int64_t clock_ns;      // this machine's rn_clock_ns is so much ahead of the daemon's
 };
 

@@ -141,9 +141,11 @@ static enum rn_status render_frame(struct path_frame *frame, struct rn_field *fi
     memcpy(options.background, info->config.background, sizeof options.background);
     frame_shot(path, path->work.done, instants, &options.shot);
     rn_picture_choose(frame->how.output, frame->how.format, &options);
+    double lent_ms = rn_work_lent_ms(&path->work);
     enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
                                       &path->work, &frame->result, err);
     if (status) return status;
+    frame->result.stats.render_ms -= rn_work_lent_ms(&path->work) - lent_ms;
     rn_work_rendered(&path->work, frame->result.stats.render_ms,
                      frame->result.stats.nonfinite_rays);
     return RN_OK;

@@ -78,6 +78,10 @@ bool rn_work_keep_going(void *context) {
     return true;
 }
 
+double rn_work_lent_ms(const struct rn_work *work) {
+    return (double)work->host->lent_ns * 1e-6;
+}
+
 void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite_rays) {
     work->render_ms[work->rendered++] = render_ms;
     work->nonfinite += nonfinite_rays;
@@ -88,8 +92,10 @@ enum rn_status rn_work_score(struct rn_work *work, struct rn_field *field,
                              struct rn_view_score *ret_score, struct rn_error *err) {
     struct rn_render_options options = {.outputs = RN_OUTPUT_RGB};
     memcpy(options.background, info->config.background, sizeof options.background);
+    double lent_ms = rn_work_lent_ms(work);
     enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
                                              rn_work_keep_going, work, ret_score, err);
+    ret_score->render_ms -= rn_work_lent_ms(work) - lent_ms;
     if (!status) rn_work_rendered(work, ret_score->render_ms, ret_score->nonfinite_rays);
     return status;
 }

@@ -49,6 +49,8 @@ struct rn_work *rn_work_append(struct rn_host *host, const struct rn_work_kind *
                                const char *job);
 // What a unit's rendering polls: interactive renders do not wait for it. `work`: struct rn_work *.
 bool rn_work_keep_going(void *work);
+// Milliseconds that such renders took, in all: what they took within a unit is none of its own.
+double rn_work_lent_ms(const struct rn_work *work);
 // Notes that a unit was rendered: its time and its rays that were replaced.
 void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite_rays);
 // Renders the frame's camera over the scene's background and scores it beside its photograph; notes

@@ -91,6 +91,54 @@ START_TEST(until_it_is_there_the_work_waits) {
 }
 END_TEST
 
+static int64_t ready_ns; // when somebody asks for the next picture
+
+// The work, or nothing, goes on for so long; pictures that come meanwhile are made within.
+static void pass(int64_t left_ns, int64_t gap_ns) {
+    while (ready_ns - now_ns < left_ns) {
+        left_ns -= ready_ns - now_ns;
+        rn_turns_end(&turns, ready_ns, ready_ns + 10 * MS, MOST);
+        now_ns = ready_ns + 10 * MS;
+        ready_ns = now_ns + gap_ns;
+    }
+    now_ns += left_ns;
+}
+
+// Of pieces that take 30 ms, each begun as soon as it may, beside pictures.
+static double share_of_pieces(int64_t gap_ns) {
+    int64_t begin_ns = now_ns;
+    ready_ns = now_ns + gap_ns;
+    while (now_ns < begin_ns + 10000 * MS) {
+        int64_t rest_ns = rn_turns_rest_ns(&turns, now_ns);
+        if (rest_ns > 0) {
+            pass(rest_ns < ready_ns - now_ns ? rest_ns : ready_ns - now_ns + 1, gap_ns);
+            continue;
+        }
+        pass(30 * MS, gap_ns);
+        worked_ns += 30 * MS;
+        rn_turns_worked(&turns, 30 * MS, now_ns);
+    }
+    return (double)worked_ns / (double)(now_ns - begin_ns);
+}
+
+START_TEST(pieces_have_their_share_beside_pictures) {
+    double share = share_of_pieces(5 * MS);
+    ck_assert_double_ge(share, 0.8 * RN_TURNS_SHARE); // what pictures took within is not theirs
+    ck_assert_double_le(share, RN_TURNS_SHARE);
+}
+END_TEST
+
+START_TEST(pieces_go_on_where_pictures_are_not_near) {
+    ck_assert_int_eq(rn_turns_rest_ns(&turns, now_ns), 0);
+    ck_assert_double_ge(share_of_pieces(60 * MS), 0.8);
+    set_up();
+    picture_after(0, 10 * MS);
+    picture_after(0, 10 * MS);
+    rn_turns_worked(&turns, 1000 * MS, now_ns);
+    ck_assert_int_eq(rn_turns_rest_ns(&turns, now_ns), RN_TURNS_NEAR_NS);
+}
+END_TEST
+
 int main(void) {
     Suite *suite = suite_create("turns");
     TCase *cases = tcase_create("turns");
@@ -100,6 +148,8 @@ int main(void) {
     tcase_add_test(cases, a_picture_finds_the_cores_free);
     tcase_add_test(cases, a_picture_alone_holds_nothing_up);
     tcase_add_test(cases, until_it_is_there_the_work_waits);
+    tcase_add_test(cases, pieces_have_their_share_beside_pictures);
+    tcase_add_test(cases, pieces_go_on_where_pictures_are_not_near);
     suite_add_tcase(suite, cases);
     return run_suite(suite);
 }
