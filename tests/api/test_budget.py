@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.client import Client
+from support.curves import write_curve
 from support.photographs import pose, write_dataset
 
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
@@ -186,19 +187,6 @@ def test_a_job_knows_how_slow_pictures_are_now(slow, kind, more):
         job = slow.wait(slow.submit(type=kind, scene="ready", options={"within_ms": within}, **more))
         assert job["state"] == "succeeded", job
         assert job["result"]["setting"] == setting
-
-
-def write_curve(daemon, cheapest, **other):
-    """As if it had been measured: the cheapest way and the full picture."""
-    (scene,) = Path(daemon.data).glob("scenes/*")
-    point = {"ms_median": 1, "ms_p95": 1, "psnr": 20, "ssim": 0.9, "psnr_full": 21, "psnr_spread": 0.5,
-             "rays": 1, "samples": 1, "setting": cheapest}
-    record = {"machine": "another", "device": "cpu", "kernels": "none", "threads": 1, "version": "1",
-              "digest": None, "step": 1, "measured_at": "2026-01-01T00:00:00.000Z", "stale": False,
-              "width": 12, "height": 10, "views": 1, "photographs": True, "seconds": 1, "around": [],
-              "points": [point, {**point, "setting": {}, "ms_median": 9, "psnr": 25, "psnr_full": None}],
-              **other}
-    (scene / "curve.json").write_text(json.dumps(record), encoding="utf-8")
 
 
 def test_curve_of_another_machine_says_so(quick):

@@ -3,9 +3,15 @@
 import json
 import os
 import subprocess
+from pathlib import Path
+
+import pytest
+from PIL import Image
 
 from support.client import Client
+from support.curves import write_curve
 from support.on_slurm import PATH
+from support.photographs import write_dataset
 from support.waiting import PATIENCE_S, wait_for
 
 COLUMNS = "printf '%-20s%-20s%-16s%-64s%-128s\\n'"
@@ -66,3 +72,37 @@ def test_frames_of_every_format_come_with_their_events(make_daemon, photographs,
         client.run("path", "s", "path.json", "-o", name, "--format", name)
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == [
             f"{i:05}.{ending}" for i in range(4)]
+
+
+@pytest.mark.parametrize("kind, more, options, last", [("path", {"camera_path": {**PATH, "fps": 100}}, {}, 150),
+                                                       ("eval", {}, {"split": "val"}, 99)])
+def test_parts_are_made_as_the_budget_was_resolved_once(make_daemon, tmp_path, kind, more, options, last):
+    """A node that helps makes its part, from the end on, by the setting that was recorded, though the curve says
+    another when it comes: every second row of eight, of 50 ms. The first two pictures were to see how long one
+    takes; in full it is too long."""
+    commands = write_commands(tmp_path / "bin", RUNS)
+    daemon = make_daemon(commands | {"RIPNERF_FAKE_ROW_US": "50000", "RIPNERF_FAKE_HELD_PICTURES": "2"},
+                         shared=tmp_path, **OPTIONS)
+    folder = write_dataset(tmp_path / "many", size=8, train=2, val=100, test=1)
+    assert daemon.wait(daemon.upload("data", folder))["state"] == "succeeded"
+    daemon.train("s", max_steps=20)
+    write_curve(daemon, {"subsample": 2})
+    daemon.hold()
+    job = daemon.submit(type=kind, scene="s", options={"within_ms": 300, **options}, **more)
+    became = {"within_ms": 300, "subsample": 2}
+    daemon.eventually(lambda: became.items() <= daemon.job(job)["options"].items())
+    write_curve(daemon, {"subsample": 8})
+    daemon.let_go_on()
+
+    def made():
+        return {int(file.stem): file for file in Path(daemon.data).glob(f"scenes/*/frames/{job}/*.*")
+                if file.stem.isdigit()}
+    daemon.eventually(lambda: {0, last} <= made().keys())
+    for file in (made()[0], made()[last]):
+        if kind == "path":
+            assert len(set(Image.open(file).convert("RGB").getchannel("R").getdata())) == 4
+        else:
+            assert json.loads(file.read_text())["render_ms"] >= 200
+    assert became.items() <= daemon.job(job)["options"].items()
+    daemon.post(f"/v1/jobs/{job}/cancel")
+    assert daemon.wait(job)["state"] == "cancelled"
