@@ -189,6 +189,20 @@ def test_a_job_knows_how_slow_pictures_are_now(slow, kind, more):
         assert job["result"]["setting"] == setting
 
 
+@pytest.mark.parametrize("last, within, setting", [({"aperture": 0.2}, 200, "supersample=2"),
+                                                   ({"fov_y_deg": 15}, 50, "subsample=8")])
+def test_a_path_knows_its_dearest_frame(slow, last, within, setting):
+    """The first one takes 20 ms in full. Those through a lens take 64 times as long with the cones a pixel that
+    such a picture has, 80 ms with four; those that are narrower take 80 ms too."""
+    write_curve(slow, {"subsample": 8})
+    keys = [{**PATH["keys"][0], "aperture": 0, "focus": 3}, {**PATH["keys"][1], "aperture": 0, "focus": 3, **last}]
+    job = slow.wait(slow.submit(type="path", scene="ready", camera_path={**PATH, "keys": keys},
+                                options={"within_ms": within}))
+    assert job["state"] == "succeeded", job
+    assert job["result"]["setting"] == setting
+    assert dict([setting.split("=")]).items() <= {k: str(v) for k, v in job["options"].items()}.items()
+
+
 def test_curve_of_another_machine_says_so(quick):
     """What it was measured on stands in it; what of that is another now is told."""
     measure(quick, views=1)

@@ -78,10 +78,10 @@ def test_frames_of_every_format_come_with_their_events(make_daemon, photographs,
                                                        ("eval", {}, {"split": "val"}, 99)])
 def test_parts_are_made_as_the_budget_was_resolved_once(make_daemon, tmp_path, kind, more, options, last):
     """A node that helps makes its part, from the end on, by the setting that was recorded, though the curve says
-    another when it comes: every second row of eight, of 50 ms. The first two pictures were to see how long one
-    takes; in full it is too long."""
+    another when it comes: every second row of eight, of 50 ms. The first seven pictures were to see which one takes
+    the most and how long; in full it is too long."""
     commands = write_commands(tmp_path / "bin", RUNS)
-    daemon = make_daemon(commands | {"RIPNERF_FAKE_ROW_US": "50000", "RIPNERF_FAKE_HELD_PICTURES": "2"},
+    daemon = make_daemon(commands | {"RIPNERF_FAKE_ROW_US": "50000", "RIPNERF_FAKE_HELD_PICTURES": "7"},
                          shared=tmp_path, **OPTIONS)
     folder = write_dataset(tmp_path / "many", size=8, train=2, val=100, test=1)
     assert daemon.wait(daemon.upload("data", folder))["state"] == "succeeded"

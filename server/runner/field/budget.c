@@ -12,6 +12,7 @@
 #define JPEG_GROWTH 1.5  // power of a file's size that its error goes by, about
 #define JPEG_COUNTS 0.85 // of a JPEG's error; the rest is of detail that was wrong
 #define MOST_LOOKS 4     // at how long pictures take, before a job gets the quickest ones
+#define MOST_PLACES 5    // of a job's pictures, that the dearest is looked for among
 #define SHARPER_DB 1.0   // more than when it was measured what a JPEG takes
 
 // Of a pixel, before one was encoded.
@@ -81,57 +82,150 @@ static bool has_settings(const union rn_setting_value settings[RN_RENDER_SETTING
     return false;
 }
 
+// The ways to render a picture, from the quickest on, and what each is expected to take here.
+static size_t plain_choices(const struct chosen_curve *found, double scale,
+                            struct rn_render_choice choices[RN_CURVE_POINTS]) {
+    const struct rn_curve *curve = &found->curve;
+    for (size_t i = 0; i < curve->count; i++) {
+        choices[i] = (struct rn_render_choice){.ms = curve->points[i].ms_median * scale,
+                                               .samples = curve->points[i].samples * scale};
+        rn_settings_put(&rn_render_settings, curve->points[i].setting.values, &choices[i].settings);
+    }
+    return curve->count;
+}
+
+// Of one whose pixels are seen from many places (a lens, a shutter): ever more cones a pixel. They
+// cost what the full picture's do.
+static size_t spread_choices(const struct rn_field *field, const struct chosen_curve *found,
+                             double scale, const struct rn_camera *camera,
+                             struct rn_render_choice choices[RN_CURVE_POINTS]) {
+    const struct rn_curve_point *full = &found->curve.points[found->curve.count - 1];
+    double cones = pow(rn_render_cones(field, camera), 2);
+    size_t count = 0;
+    for (int side = 1; side <= 16; side *= 2, count++) {
+        double share = scale * side * side / cones;
+        choices[count] = (struct rn_render_choice){.settings = {.supersample = side},
+                                                   .ms = full->ms_median * share,
+                                                   .samples = full->samples * share};
+    }
+    return count;
+}
+
+// ---- all pictures of a job --------------------------------------------------------------------
+
+// The picture whose rays take the most samples, of some that are made in the quickest way: the
+// others are thought to take no longer. What takes none is the first.
+static enum rn_status find_dearest(struct rn_work *work, struct rn_field *field,
+                                   const struct rn_budget_pictures *pictures,
+                                   const struct rn_render_settings *quickest,
+                                   struct rn_render_options *ret_options, struct rn_error *err) {
+    size_t looks = pictures->count < MOST_PLACES ? pictures->count : MOST_PLACES, dearest = 0;
+    uint64_t most = 0;
+    for (size_t k = 0; k < looks && looks > 1; k++) {
+        struct rn_render_result result;
+        size_t i = k * (pictures->count - 1) / (looks - 1);
+        pictures->describe(pictures->context, i, ret_options);
+        ret_options->settings = *quickest;
+        enum rn_status status = rn_render(work->host->engine, field, ret_options,
+                                          rn_work_keep_going, work, &result, err);
+        if (status) return status;
+        if (result.stats.samples > most) most = result.stats.samples, dearest = i;
+        rn_render_result_finish(&result);
+    }
+    pictures->describe(pictures->context, dearest, ret_options);
+    return RN_OK;
+}
+
 // How long a picture takes here and now, beside what else the cores do: the quicker of two, as the
 // first may have memory to fetch.
 static enum rn_status time_picture(struct rn_work *work, struct rn_field *field,
-                                   const struct rn_camera *camera,
-                                   const struct rn_curve_point *point, double *ret_ms,
+                                   const struct rn_render_options *options, double *ret_ms,
                                    struct rn_error *err) {
-    struct rn_render_options options = {.camera = *camera, .outputs = RN_OUTPUT_RGB};
-    rn_settings_put(&rn_render_settings, point->setting.values, &options.settings);
     *ret_ms = INFINITY;
     for (int i = 0; i < 2; i++) {
         struct rn_render_result result;
-        int64_t begin_ns = rn_clock_ns();
+        double lent_ms = rn_work_lent_ms(work);
         enum rn_status status =
-            rn_render(work->host->engine, field, &options, rn_work_keep_going, work, &result, err);
+            rn_render(work->host->engine, field, options, rn_work_keep_going, work, &result, err);
         if (status) return status;
-        *ret_ms = fmin(*ret_ms, (double)(rn_clock_ns() - begin_ns) * 1e-6);
+        lent_ms = rn_work_lent_ms(work) - lent_ms;
+        *ret_ms = fmin(*ret_ms, result.stats.render_ms - lent_ms);
         rn_render_result_finish(&result);
     }
     return RN_OK;
 }
 
-// The best point of the curve within a time for all pictures of a job, the quickest where none is.
-// Where pictures are slower now than those that the curve says are the slowest, for what trains
-// beside them, say, less of the curve fits.
+// The last of the choices that is expected to take no longer.
+static size_t last_within(const struct rn_render_choice *choices, size_t count, double ms) {
+    size_t last = 0;
+    for (size_t i = 0; i < count; i++)
+        if (choices[i].ms <= ms) last = i;
+    return last;
+}
+
+// The best of the choices within a time for all pictures of a job, the quickest where none is.
+// Where the dearest is slower now than expected, for what trains beside it, say, less fits.
 static enum rn_status choose_within(struct rn_work *work, struct rn_field *field,
-                                    const struct rn_camera *camera, const struct rn_curve *curve,
-                                    double ms, size_t *ret_point, struct rn_error *err) {
-    double pixels = (double)camera->width * camera->height, slowness = 1, took_ms;
-    double scale = pixels / rn_curve_pixels(curve);
-    bool missed;
-    for (int look = 0; look < MOST_LOOKS; look++) {
-        *ret_point = rn_curve_choose(curve, RN_BUDGET_TIME, ms / slowness, pixels, NAN, &missed);
-        if (*ret_point == 0) return RN_OK;
-        const struct rn_curve_point *point = &curve->points[*ret_point];
-        enum rn_status status = time_picture(work, field, camera, point, &took_ms, err);
+                                    const struct rn_budget_pictures *pictures,
+                                    const struct rn_render_choice *choices, size_t count, double ms,
+                                    size_t *ret_choice, struct rn_error *err) {
+    struct rn_render_options options;
+    double slowness = 1, took_ms;
+    *ret_choice = last_within(choices, count, ms);
+    if (*ret_choice == 0) return RN_OK;
+    enum rn_status status =
+        find_dearest(work, field, pictures, &choices[0].settings, &options, err);
+    for (int look = 0; look < MOST_LOOKS && !status && *ret_choice > 0; look++) {
+        const struct rn_render_choice *choice = &choices[*ret_choice];
+        options.settings = choice->settings;
+        status = time_picture(work, field, &options, &took_ms, err);
         if (status || took_ms <= ms) return status;
-        slowness = fmax(slowness, took_ms / (point->ms_p95 * scale));
+        slowness = fmax(slowness, took_ms / choice->ms);
+        *ret_choice = last_within(choices, count, ms / slowness);
+        if (look == MOST_LOOKS - 1) *ret_choice = 0;
     }
-    *ret_point = 0;
+    return status;
+}
+
+// What 95 of 100 pictures of the curve keep is what a choice is expected to take.
+static enum rn_status settle_within(struct rn_work *work, struct rn_field *field,
+                                    const struct rn_budget_pictures *pictures,
+                                    const struct chosen_curve *found, double ms,
+                                    union rn_setting_value settings[RN_RENDER_SETTINGS],
+                                    struct rn_error *err) {
+    struct rn_render_choice choices[RN_CURVE_POINTS];
+    struct rn_render_options first;
+    size_t choice;
+    pictures->describe(pictures->context, 0, &first);
+    const struct rn_curve_point *points = found->curve.points;
+    size_t full = found->curve.count - 1;
+    double pixels = (double)first.camera.width * first.camera.height;
+    double scale = pixels / rn_curve_pixels(&found->curve);
+    bool spread = rn_optics_spreads(&first.shot.optics);
+    size_t count = spread ? spread_choices(field, found, scale, &first.camera, choices)
+                          : plain_choices(found, scale, choices);
+    for (size_t i = 0; i < count; i++) {
+        const struct rn_curve_point *of = &points[spread ? full : i];
+        choices[i].ms *= of->ms_p95 / of->ms_median;
+    }
+    enum rn_status status = choose_within(work, field, pictures, choices, count, ms, &choice, err);
+    if (status) return status;
+    if (spread)
+        rn_settings_value(&rn_render_settings, settings, "supersample")->whole =
+            choices[choice].settings.supersample;
+    else
+        put_settings(&points[choice], settings);
     return RN_OK;
 }
 
 // *ret_changed: the settings are others.
 static enum rn_status resolve(struct rn_work *work, struct rn_field *field,
-                              const struct rn_camera *camera,
+                              const struct rn_budget_pictures *pictures,
                               union rn_setting_value settings[RN_RENDER_SETTINGS],
                               bool *ret_changed, struct rn_error *err) {
     struct chosen_curve found;
     struct rn_field_info info;
     double number;
-    size_t point;
     bool missed;
     enum rn_budget_kind kind = rn_budget_of(settings, &number);
     *ret_changed = kind != RN_BUDGET_NONE && !has_settings(settings);
@@ -139,13 +233,12 @@ static enum rn_status resolve(struct rn_work *work, struct rn_field *field,
     find_curve(work->host, &found);
     rn_field_describe(field, &info);
     if (kind == RN_BUDGET_TIME) {
-        enum rn_status status =
-            choose_within(work, field, camera, &found.curve, number, &point, err);
+        enum rn_status status = settle_within(work, field, pictures, &found, number, settings, err);
         if (status) return status;
     } else {
-        point = rn_curve_choose(&found.curve, kind, number, NAN, info.psnr, &missed);
+        size_t point = rn_curve_choose(&found.curve, kind, number, NAN, info.psnr, &missed);
+        put_settings(&found.curve.points[point], settings);
     }
-    put_settings(&found.curve.points[point], settings);
     // The full picture's settings are none: what says so, so that the budget is resolved once.
     if (!has_settings(settings))
         *rn_settings_value(&rn_render_settings, settings, "tolerance") =
@@ -154,13 +247,13 @@ static enum rn_status resolve(struct rn_work *work, struct rn_field *field,
 }
 
 enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field,
-                                const struct rn_camera *camera,
+                                const struct rn_budget_pictures *pictures,
                                 union rn_setting_value settings[RN_RENDER_SETTINGS],
                                 const struct rn_table *table, const void *options,
                                 struct rn_error *err) {
     struct rn_wire_resolved resolved = {.options = NULL};
     bool changed;
-    enum rn_status status = resolve(work, field, camera, settings, &changed, err);
+    enum rn_status status = resolve(work, field, pictures, settings, &changed, err);
     if (status || !changed) return status;
     status = rn_encode(table, options, &resolved.options, NULL, err);
     if (status) return status;
@@ -218,35 +311,6 @@ static void tell(const struct chosen_curve *found, size_t point,
         rendered->expected_spread =
             rn_curve_spread_here(&found->curve, rendered->expected_psnr, psnr, &here);
     snprintf(rendered->curve, sizeof rendered->curve, "%s", found->source);
-}
-
-// The ways to render a picture, from the quickest on, and what each is expected to take here.
-static size_t plain_choices(const struct chosen_curve *found, double scale,
-                            struct rn_render_choice choices[RN_CURVE_POINTS]) {
-    const struct rn_curve *curve = &found->curve;
-    for (size_t i = 0; i < curve->count; i++) {
-        choices[i] = (struct rn_render_choice){.ms = curve->points[i].ms_median * scale,
-                                               .samples = curve->points[i].samples * scale};
-        rn_settings_put(&rn_render_settings, curve->points[i].setting.values, &choices[i].settings);
-    }
-    return curve->count;
-}
-
-// Of one whose pixels are seen from many places (a lens, a shutter): ever more cones a pixel. They
-// cost what the full picture's do.
-static size_t spread_choices(const struct rn_field *field, const struct chosen_curve *found,
-                             double scale, const struct rn_camera *camera,
-                             struct rn_render_choice choices[RN_CURVE_POINTS]) {
-    const struct rn_curve_point *full = &found->curve.points[found->curve.count - 1];
-    double cones = pow(rn_render_cones(field, camera), 2);
-    size_t count = 0;
-    for (int side = 1; side <= 16; side *= 2, count++) {
-        double share = scale * side * side / cones;
-        choices[count] = (struct rn_render_choice){.settings = {.supersample = side},
-                                                   .ms = full->ms_median * share,
-                                                   .samples = full->samples * share};
-    }
-    return count;
 }
 
 static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_wire_render *render,

@@ -11,13 +11,21 @@ void rn_pace_finish(struct rn_pace *pace);
 // What a curve that is measured here and now is of, but for its digest and its pictures.
 void rn_curve_place(const struct rn_host *host, struct rn_curve_record *ret_record);
 
-// The settings that a budget becomes for all pictures of a job, of which `camera` is one, in place:
-// the budget stays beside them. Within a time, that picture is made a few times, so that what else
-// the cores do counts. Nothing without a budget, or where it has become some before. The job has
-// the host's turn; the daemon is told the options, as `table` has them, when they changed.
-// RN_ERROR_CANCELLED, rn_render's.
+// The pictures of a job that a budget is for: those whose cost may be the most, in their order.
+struct rn_budget_pictures {
+    size_t count; // at least 1
+    // Picture i of them as it will be rendered, but for its settings.
+    void (*describe)(void *context, size_t i, struct rn_render_options *ret_options);
+    void *context;
+};
+// The settings that a budget becomes for all pictures of a job, in place: the budget stays beside
+// them. Within a time, some of `pictures` are made in the quickest way, and of these the one that
+// takes the most samples a few times, so that what else the cores do counts; where pixels are seen
+// from many places (a lens, a shutter), the time decides from how many. Nothing without a budget,
+// or where it has become some before. The job has the host's turn; the daemon is told the options,
+// as `table` has them, when they changed. RN_ERROR_CANCELLED, rn_render's.
 enum rn_status rn_budget_settle(struct rn_work *work, struct rn_field *field,
-                                const struct rn_camera *camera,
+                                const struct rn_budget_pictures *pictures,
                                 union rn_setting_value settings[RN_RENDER_SETTINGS],
                                 const struct rn_table *table, const void *options,
                                 struct rn_error *err) RN_MUST_CHECK;

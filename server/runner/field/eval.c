@@ -84,6 +84,12 @@ static enum rn_status prepare_parts(struct eval_work *eval, struct rn_error *err
     return status;
 }
 
+static void describe_view(void *context, size_t i, struct rn_render_options *ret_options) {
+    const struct eval_work *eval = context;
+    *ret_options = (struct rn_render_options){.camera = eval->frames[eval->parts.first + i]->camera,
+                                              .outputs = RN_OUTPUT_RGB};
+}
+
 static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
     enum rn_status status = rn_host_need_sound_dataset(work->host, err);
@@ -92,7 +98,8 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
     if (status) return status;
     eval->scores = calloc(work->total, sizeof *eval->scores);
     if (!eval->scores) return rn_error_set(err, RN_ERROR_NO_MEMORY, "", "out of memory");
-    return rn_budget_settle(work, field, &eval->frames[0]->camera, eval->request.options.settings,
+    struct rn_budget_pictures views = {work->total, describe_view, eval};
+    return rn_budget_settle(work, field, &views, eval->request.options.settings,
                             &rn_eval_options_table, &eval->request.options, err);
 }
 

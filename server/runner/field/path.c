@@ -51,13 +51,17 @@ static struct rn_camera frame_camera(const struct path_work *path, double unit) 
     return rn_camera_reframed(&camera, (int)options->width, (int)options->height);
 }
 
-// The effects of a frame, and where the camera stands while its shutter is open: around the frame's
-// time.
-static void frame_shot(struct path_work *path, size_t unit, struct rn_camera instants[INSTANTS],
-                       struct rn_shot *ret_shot) {
+static struct rn_optics frame_optics(const struct path_work *path, size_t unit) {
     struct rn_optics optics =
         rn_path_optics(path->request.camera_path.path, (double)(path->parts.first + unit));
-    struct rn_shot shot = {.optics = rn_optics_over(&optics, &path->optics)};
+    return rn_optics_over(&optics, &path->optics);
+}
+
+// The effects of a frame, and where the camera stands while its shutter is open: around the frame's
+// time.
+static void frame_shot(const struct path_work *path, size_t unit,
+                       struct rn_camera instants[INSTANTS], struct rn_shot *ret_shot) {
+    struct rn_shot shot = {.optics = frame_optics(path, unit)};
     for (int i = 0; i < INSTANTS && shot.optics.shutter > 0; i++)
         instants[i] =
             frame_camera(path, (double)unit + shot.optics.shutter * ((i + 0.5) / INSTANTS - 0.5));
@@ -65,8 +69,11 @@ static void frame_shot(struct path_work *path, size_t unit, struct rn_camera ins
         shot.instants = instants;
         shot.instant_count = INSTANTS;
     }
-    path->together = rn_optics_over(&path->together, &shot.optics);
     *ret_shot = shot;
+}
+
+static enum rn_output_kind frame_output(const struct path_work *path) {
+    return (enum rn_output_kind)rn_name_or(path->request.options.output, RN_OUTPUT_KIND_RGB);
 }
 
 static enum rn_picture_format frame_format(const struct path_work *path) {
@@ -76,6 +83,58 @@ static enum rn_picture_format frame_format(const struct path_work *path) {
 // A runner that helps makes some frames and leaves all else to the one that has the job.
 static bool is_part(const struct path_work *path) {
     return path->request.begin != RN_ABSENT;
+}
+
+// What the options of a frame borrow.
+struct frame_stand {
+    struct rn_camera instants[INSTANTS];
+    struct rn_box box;
+};
+
+static void frame_options(const struct path_work *path, size_t unit, const float background[3],
+                          struct frame_stand *stand, struct rn_render_options *ret_options) {
+    const struct rn_path_options *wanted = &path->request.options;
+    *ret_options = (struct rn_render_options){.camera = frame_camera(path, (double)unit)};
+    rn_picture_crop(wanted->crop, &stand->box, ret_options);
+    rn_settings_put(&rn_render_settings, wanted->settings, &ret_options->settings);
+    memcpy(ret_options->background, background, sizeof ret_options->background);
+    frame_shot(path, unit, stand->instants, &ret_options->shot);
+    rn_picture_choose(frame_output(path), frame_format(path), ret_options);
+}
+
+// The frames that a budget is for: those that are seen from many places, where there are any.
+struct frames_of_budget {
+    const struct path_work *path;
+    bool spread;
+    struct frame_stand stand;
+    float background[3];
+};
+
+static void describe_frame(void *context, size_t i, struct rn_render_options *ret_options) {
+    struct frames_of_budget *frames = context;
+    struct rn_optics optics;
+    size_t unit = 0;
+    for (;; unit++) {
+        optics = frame_optics(frames->path, unit);
+        if ((!frames->spread || rn_optics_spreads(&optics)) && i-- == 0) break;
+    }
+    frame_options(frames->path, unit, frames->background, &frames->stand, ret_options);
+}
+
+static enum rn_status settle_budget(struct path_work *path, struct rn_field *field,
+                                    const struct rn_field_info *info, struct rn_error *err) {
+    struct frames_of_budget frames = {.path = path};
+    struct rn_budget_pictures pictures = {path->work.total, describe_frame, &frames};
+    size_t spread = 0;
+    for (size_t i = 0; i < path->work.total; i++) {
+        struct rn_optics optics = frame_optics(path, i);
+        spread += rn_optics_spreads(&optics);
+    }
+    frames.spread = spread > 0;
+    if (spread > 0) pictures.count = spread;
+    memcpy(frames.background, info->config.background, sizeof frames.background);
+    return rn_budget_settle(&path->work, field, &pictures, path->request.options.settings,
+                            &rn_path_options_table, &path->request.options, err);
 }
 
 static enum rn_status prepare(struct rn_work *work, struct rn_field *field, struct rn_error *err) {
@@ -112,9 +171,7 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
                                &work->total, err);
         if (status) return status;
     }
-    struct rn_camera camera = frame_camera(path, 0);
-    return rn_budget_settle(work, field, &camera, path->request.options.settings,
-                            &rn_path_options_table, &path->request.options, err);
+    return settle_budget(path, field, &info, err);
 }
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
@@ -127,21 +184,17 @@ static enum rn_status render_frame(struct path_frame *frame, struct rn_field *fi
                                    const struct rn_field_info *info, struct rn_error *err) {
     struct path_work *path = frame->path;
     const struct rn_path_options *wanted = &path->request.options;
-    struct rn_render_options options = {.camera = frame_camera(path, (double)path->work.done)};
-    struct rn_camera instants[INSTANTS];
-    struct rn_box box;
-    frame->how = (struct rn_picture_file){
-        .output = (enum rn_output_kind)rn_name_or(wanted->output, RN_OUTPUT_KIND_RGB),
-        .format = frame_format(path),
-        .jpeg_quality = (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
-        .png_level = FRAME_PNG_LEVEL,
-        .depth_scale = path->depth_scale};
-    rn_picture_crop(wanted->crop, &box, &options);
-    rn_settings_put(&rn_render_settings, wanted->settings, &options.settings);
-    memcpy(options.background, info->config.background, sizeof options.background);
-    frame_shot(path, path->work.done, instants, &options.shot);
-    rn_picture_choose(frame->how.output, frame->how.format, &options);
+    struct rn_render_options options;
+    struct frame_stand stand;
+    frame->how = (struct rn_picture_file){.output = frame_output(path),
+                                          .format = frame_format(path),
+                                          .jpeg_quality =
+                                              (int)rn_int_or(wanted->jpeg_quality, RN_JPEG_QUALITY),
+                                          .png_level = FRAME_PNG_LEVEL,
+                                          .depth_scale = path->depth_scale};
+    frame_options(path, path->work.done, info->config.background, &stand, &options);
     double lent_ms = rn_work_lent_ms(&path->work);
+    path->together = rn_optics_over(&path->together, &options.shot.optics);
     enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
                                       &path->work, &frame->result, err);
     if (status) return status;
