@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "common/base/file.h"
+#include "common/dataset/calls.h"
 #include "common/dataset/exposure.h"
 #include "common/dataset/output.h"
 #include "common/dataset/points.h"
@@ -25,6 +26,10 @@ struct import {
     struct rn_error *faults;                // of each view; status RN_OK where none
     struct rn_exposures *exposures;         // NULL: there are no points to measure them by
     struct rn_triangulation *triangulation; // NULL: not called for
+    // What is found says how bright photographs are and nothing else, as trainings of cameras that
+    // look one way between known depths gain nothing by it; points of the source's own.
+    bool gains_alone;
+    size_t own_points;
 };
 
 static void scaled_size(const struct rn_frame *view, const struct rn_import_options *options,
@@ -355,12 +360,11 @@ static enum rn_status write_points(const struct rn_dataset *source, const char *
 static enum rn_status conclude(struct import *import, struct rn_dataset *source, const char *name,
                                struct rn_problems *problems, struct rn_error *err) {
     const struct rn_import_options *options = import->options;
-    struct rn_dataset result = {.name = (char *)name,
-                                .format = source->format,
-                                .lie = source->lie,
-                                .points = source->points};
+    struct rn_dataset result = {.name = (char *)name, .format = source->format, .lie = source->lie};
     drop_faulty(import, problems, result.unusable);
     rn_exposures_solve(import->exposures, import->outputs, import->output_count);
+    if (import->gains_alone) rn_points_cut(&source->points, import->own_points);
+    result.points = source->points;
     result.frames = import->outputs;
     result.frame_count = import->output_count;
     result.bounds = source->bounds;
@@ -393,6 +397,8 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
                                   void *context, struct rn_error *err) {
     struct last_part part = {progress, context, import->view_count};
     size_t count, levels = (size_t)import->levels;
+    import->gains_alone = rn_faces_one_way(source);
+    import->own_points = source->points.count;
     enum rn_status status =
         rn_triangulation_solve(import->triangulation, import->options->threads, source,
                                progress ? go_on : NULL, &part, &count, err);
@@ -405,11 +411,13 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
         import->outputs[i].near = import->views[i / levels]->near;
         import->outputs[i].far = import->views[i / levels]->far;
     }
-    rn_problems_add(problems, RN_SEVERITY_INFO, "points",
-                    "no file says which photographs see which points: %zu were found where "
-                    "photographs look alike, each seen by %.1f of them; what they are seen through "
-                    "begins empty",
-                    count, (double)source->points.sighting_count / (double)count);
+    if (!import->gains_alone)
+        rn_problems_add(
+            problems, RN_SEVERITY_INFO, "points",
+            "no file says which photographs see which points: %zu were found where "
+            "photographs look alike, each seen by %.1f of them; what they are seen through "
+            "begins empty",
+            count, (double)source->points.sighting_count / (double)count);
     return RN_OK;
 }
 

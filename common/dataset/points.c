@@ -89,6 +89,12 @@ enum rn_status rn_points_read(const char *path, struct rn_points *ret_points,
     return status;
 }
 
+void rn_points_cut(struct rn_points *points, size_t count) {
+    if (count < points->count) points->count = count;
+    points->sighting_count = 0;
+    points->found = false;
+}
+
 void rn_points_finish(struct rn_points *points) {
     free(points->items);
     free(points->sightings);

@@ -83,8 +83,7 @@ void rn_triangulation_destroy(struct rn_triangulation **triangulation) {
 }
 
 static bool is_called_for(const struct rn_dataset *dataset) {
-    return !dataset->points.sighting_count && !rn_faces_one_way(dataset) &&
-           !rn_dataset_is_cut_out(dataset);
+    return !dataset->points.sighting_count && !rn_dataset_is_cut_out(dataset);
 }
 
 // A number for each view, the same at all scales.

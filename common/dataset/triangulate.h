@@ -16,10 +16,9 @@ struct rn_triangulation;
 
 // For the views of `dataset`, which must outlive it, at full size; numbers the photographs anew
 // (struct rn_frame's `photo`). *ret_triangulation is NULL where it is not called for: a dataset has
-// sightings, objects are cut out by alpha, or all cameras look one way between depths that are
-// known. `test_every` as in struct rn_import_options. Views that are not trained on say nothing of
-// where points are and of what colour: what was found without them is looked for in them.
-// RN_ERROR_NO_MEMORY.
+// sightings, or objects are cut out by alpha. `test_every` as in struct rn_import_options. Views
+// that are not trained on say nothing of where points are and of what colour: what was found
+// without them is looked for in them. RN_ERROR_NO_MEMORY.
 enum rn_status rn_triangulation_create(struct rn_dataset *dataset, int test_every,
                                        struct rn_triangulation **ret_triangulation,
                                        struct rn_error *err) RN_MUST_CHECK;

@@ -214,15 +214,10 @@ static double brighter(const struct rn_frame *frame, const struct rn_frame *than
     return sum / (double)count;
 }
 
-// By what the points look like in each, also in those withheld.
-START_TEST(they_say_how_bright_photographs_are) {
-    struct rn_synth_options unlike = place;
+// Of `kept` beside `dataset`, the same photographs as they are.
+static void check_gains(void) {
     double known[64], found[64], known_mean = 0, found_mean = 0, spread = 0, error = 0;
     size_t count = 0;
-    unlike.exposure = 0.7;
-    take_others("place", &unlike);
-    keep("kept", 0, 4);
-    read_place(); // as it is
     for (size_t i = 0; i < dataset->frame_count; i++) {
         ck_assert_str_eq(dataset->frames[i].name, kept->frames[i].name);
         if (!(kept->frames[i].gain[0] > 0)) continue;
@@ -243,6 +238,38 @@ START_TEST(they_say_how_bright_photographs_are) {
     ck_assert_double_gt(sqrt(spread), 0.1);
     ck_assert_double_lt(sqrt(error), 0.04);
     ck_assert_double_gt(rn_exposure_unrest(kept->frames, kept->frame_count), RN_EXPOSURE_UNREST);
+}
+
+// By what the points look like in each, also in those withheld.
+START_TEST(they_say_how_bright_photographs_are) {
+    struct rn_synth_options unlike = place;
+    unlike.exposure = 0.7;
+    take_others("place", &unlike);
+    keep("kept", 0, 4);
+    read_place(); // as it is
+    check_gains();
+}
+END_TEST
+
+// Of photographs that look one way between known depths nothing else is kept of what was found.
+START_TEST(between_known_depths_they_say_nothing_else) {
+    struct rn_synth_options window = {.size = 160, .views = 32, .threads = 4, .samples = 4};
+    const char *even = in_folder("even");
+    ck_assert_int_eq(rn_synthesise("window", &window, even, NULL, NULL, &err), RN_OK);
+    window.exposure = 0.7;
+    take_others("window", &window);
+    for (size_t i = 0; i < dataset->frame_count; i++) {
+        dataset->frames[i].near = 1.5;
+        dataset->frames[i].far = 60;
+    }
+    ck_assert(rn_faces_one_way(dataset));
+    keep("kept", 0, 4);
+    ck_assert(!problems_tell(RN_SEVERITY_INFO, "were found"));
+    ck_assert_uint_eq(kept->points.count, 0);
+    ck_assert_double_eq(kept->frames[0].near, 1.5);
+    rn_dataset_destroy(&dataset);
+    ck_assert_int_eq(rn_dataset_read(even, NULL, &dataset, &err), RN_OK);
+    check_gains();
 }
 END_TEST
 
@@ -459,6 +486,7 @@ int main(void) {
     tcase_add_test(c, photographs_that_are_withheld_see_them);
     tcase_add_test(c, photographs_that_are_withheld_say_nothing_of_where_they_are);
     tcase_add_test(c, they_say_how_bright_photographs_are);
+    tcase_add_test(c, between_known_depths_they_say_nothing_else);
     tcase_add_test(c, none_are_looked_for_where_they_say_nothing);
     tcase_add_loop_test(c, photographs_that_look_one_way_have_depths, 0, 2);
     tcase_add_test(c, sightings_of_the_source_stay_as_they_are);
