@@ -176,8 +176,7 @@ void rn_render_send(struct rn_control *control, struct rn_runner *runner) {
     rn_hold_others(control);
 }
 
-// What a budget was spent on. Late: the time is over, or no point of the curve reaches what was
-// asked for.
+// What a budget was spent on. Late: the time is over, or less than was asked for is expected.
 static void tell_budget(struct rn_reply *reply, const struct rn_render *render,
                         const struct rn_wire_rendered *rendered) {
     double asked, spent_ms = (double)(rn_clock_ns() - render->begin_ns) * 1e-6;

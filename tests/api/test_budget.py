@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.client import Client
-from support.curves import write_curve
+from support.curves import POINT, write_curve
 from support.photographs import pose, write_dataset
 
 CAMERA = {"world_from_camera": [row[:] for row in pose(0.3)[:3]], "axes": "opengl",
@@ -133,6 +133,31 @@ def test_psnr_is_what_is_expected_of_this_view(quick, build, tmp_path):
                           "-o", f"{view}.png").stdout
         assert "below what was asked for" in told
     assert min(abs(more) for more in here) > 0.05  # or this would say nothing
+
+
+def test_less_than_was_asked_for_is_told(make_daemon, photographs):
+    """Of what would be less by what was interpolated in it, four times as much as in the curve's pictures, a better
+    one is made. What only the file loses is known from the second one on."""
+    daemon = start(make_daemon, photographs, 0)
+    half = {**POINT, "psnr": 24, "interpolation": 1e-4, "roughness": 0, "setting": {"subsample": 2}}
+    full = {**POINT, "setting": {}, "ms_median": 9, "psnr": 25, "psnr_full": None}
+    write_curve(daemon, {"subsample": 8}, points=[{**POINT, "setting": {"subsample": 8}}, half, full])
+
+    def told(asked, fov_y_deg, **how):
+        reply = daemon.post("/v1/scenes/ready/render",
+                            {"camera": {**CAMERA, "fov_y_deg": fov_y_deg}, "render_psnr": asked, **how})
+        assert reply.status == 200, reply.json
+        return (reply.headers["X-Ripnerf-Setting"], float(reply.headers["X-Ripnerf-Expected-Psnr"]),
+                reply.headers["X-Ripnerf-Late"])
+    assert told(22, 40) == ("subsample=2", 24, "0")
+    assert told(21.8, 15) == ("subsample=2", 21.91, "0")
+    assert told(22, 15) == ("full", 25, "0")
+    assert told(25.1, 40) == ("full", 25, "1")
+    jpeg = {"format": "jpeg", "jpeg_quality": 60}
+    setting, expected, late = told(24, 40, **jpeg)
+    assert setting == "subsample=2" and expected < 24 and late == "1"
+    setting, expected, late = told(24, 40, **jpeg)
+    assert setting == "full" and expected > 24 and late == "0"
 
 
 def test_a_job_keeps_what_its_budget_became(shared):

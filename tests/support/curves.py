@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+# What is worth 20 dB, of pictures that the full one of 25 dB is 21 dB from.
 POINT = {"ms_median": 1, "ms_p95": 1, "psnr": 20, "ssim": 0.9, "psnr_full": 21, "psnr_spread": 0.5,
          "rays": 1, "samples": 1}
 

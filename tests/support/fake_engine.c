@@ -602,6 +602,7 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
         return status;
     }
     result.stats.tolerance = options->settings.tolerance;
+    if (options->settings.subsample > 1) result.stats.interpolation = 1e-4 * cost_of(options);
     result.stats.rays = (uint64_t)camera->width * (uint64_t)camera->height;
     result.stats.samples = 8 * result.stats.rays * cost_of(options);
     result.stats.render_ms = (now_s() - begin) * 1e3;

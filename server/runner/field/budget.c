@@ -12,6 +12,8 @@
 #define JPEG_GROWTH 1.5  // power of a file's size that its error goes by, about
 #define JPEG_COUNTS 0.85 // of a JPEG's error; the rest is of detail that was wrong
 #define MOST_LOOKS 4     // at how long pictures take, before a job gets the quickest ones
+#define MOST_TRIES 3     // at a picture of a PSNR
+#define TOLD_DB 0.005    // less than asked for is not told of
 #define MOST_PLACES 5    // of a job's pictures, that the dearest is looked for among
 #define SHARPER_DB 1.0   // more than when it was measured what a JPEG takes
 
@@ -359,6 +361,51 @@ static enum rn_status render_by_deadline(struct rn_host *host, const struct rn_w
     return RN_OK;
 }
 
+// What the picture is to be worth for its file to be worth so much, by what the last JPEG lost; no
+// picture is where the file alone loses more.
+static double psnr_of_picture(const struct rn_pace *pace, const struct rn_render_request *request,
+                              double psnr) {
+    bool known = request->format == RN_FORMAT_JPEG &&
+                 pace->jpeg_quality == (int)rn_int_or(request->jpeg_quality, RN_JPEG_QUALITY);
+    double error = pow(10, -psnr / 10) - (known ? JPEG_COUNTS * pace->jpeg_error : 0);
+    return known ? error > 0 ? -10 * log10(error) : INFINITY : psnr;
+}
+
+// By the quickest point that is expected to reach it here. What a picture was interpolated from
+// tells when it was made: where it is expected to be worth less, a better one takes its place.
+static enum rn_status render_of_psnr(struct rn_host *host, const struct rn_wire_render *render,
+                                     const struct rn_field_info *info, struct rn_field *field,
+                                     const struct rn_render_options *options, double asked,
+                                     struct rn_watch *watch, struct rn_wire_rendered *rendered,
+                                     struct rn_render_result *ret_result, struct rn_error *err) {
+    struct chosen_curve found;
+    struct rn_render_options chosen = *options;
+    find_curve(host, &found);
+    double better = look_here(&found, &options->camera).better;
+    double worth = psnr_of_picture(&host->pace, &render->render, asked), aim = worth;
+    size_t point = 0;
+    for (int tries = 1;; tries++) {
+        bool missed;
+        size_t next = rn_curve_choose(&found.curve, RN_BUDGET_PSNR,
+                                      rn_curve_from_here(&found.curve, aim, better), NAN,
+                                      info->psnr, &missed);
+        point = tries > 1 && next <= point ? point + 1 : next;
+        chosen.settings = options->settings;
+        rn_settings_put(&rn_render_settings, found.curve.points[point].setting.values,
+                        &chosen.settings);
+        enum rn_status status =
+            rn_render(host->engine, field, &chosen, rn_watch_keep_going, watch, ret_result, err);
+        if (status) return status;
+        rendered->render_ms += ret_result->stats.render_ms;
+        tell(&found, point, &ret_result->stats, &options->camera, info->psnr, rendered);
+        double less = worth - rendered->expected_psnr;
+        if (!(less > TOLD_DB) || missed || tries == MOST_TRIES || point + 1 == found.curve.count)
+            return RN_OK;
+        aim += less;
+        rn_render_result_finish(ret_result);
+    }
+}
+
 enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_render *render,
                                 const struct rn_field_info *info, struct rn_field *field,
                                 struct rn_render_options *options, struct rn_watch *watch,
@@ -366,19 +413,20 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
                                 struct rn_render_result *ret_result, struct rn_error *err) {
     struct chosen_curve found;
     double number;
+    size_t point = 0;
+    bool missed;
     enum rn_budget_kind kind = rn_budget_of(render->render.settings, &number);
     if (kind == RN_BUDGET_TIME && render->deadline_ns != RN_ABSENT)
         return render_by_deadline(host, render, info, field, options, watch, rendered, ret_result,
                                   err);
-    size_t point = 0;
+    if (kind == RN_BUDGET_PSNR)
+        return render_of_psnr(host, render, info, field, options, number, watch, rendered,
+                              ret_result, err);
     if (kind != RN_BUDGET_NONE) {
         find_curve(host, &found);
-        if (kind == RN_BUDGET_PSNR)
-            number = rn_curve_from_here(&found.curve, number,
-                                        look_here(&found, &options->camera).better);
         point = rn_curve_choose(&found.curve, kind, number,
                                 (double)options->camera.width * (double)options->camera.height,
-                                info->psnr, &rendered->missed);
+                                info->psnr, &missed);
         rn_settings_put(&rn_render_settings, found.curve.points[point].setting.values,
                         &options->settings);
     }
@@ -444,8 +492,12 @@ void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render
     double *kept = &host->pace.encode_ns[rendered->format];
     double now = rendered->encode_ms * 1e6 / pixels;
     if (pixels >= 1e4) *kept = *kept > 0 ? 0.8 * *kept + 0.2 * now : now;
-    if (rendered->format != RN_FORMAT_JPEG || !rgb->values) return;
-    if (render->deadline_ns == RN_ABSENT)
-        rn_budget_look(host, render, rgb, bytes, size, rendered->expected_psnr);
-    expect_jpeg(&host->pace, &render->render, pixels, size, rendered);
+    if (rendered->format == RN_FORMAT_JPEG && rgb->values) {
+        if (render->deadline_ns == RN_ABSENT)
+            rn_budget_look(host, render, rgb, bytes, size, rendered->expected_psnr);
+        expect_jpeg(&host->pace, &render->render, pixels, size, rendered);
+    }
+    double asked;
+    if (rn_budget_of(render->render.settings, &asked) == RN_BUDGET_PSNR)
+        rendered->missed = !(rendered->expected_psnr >= asked - TOLD_DB);
 }

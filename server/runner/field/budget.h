@@ -50,7 +50,8 @@ enum rn_status rn_budget_render(struct rn_host *host, const struct rn_wire_rende
                                 struct rn_render_result *ret_result,
                                 struct rn_error *err) RN_MUST_CHECK;
 // How long a picture's file took to be made: the next one by a deadline leaves room for that. Takes
-// from the PSNR expected of the picture what its file loses. `rgb`: as rendered; zero when it was
+// from the PSNR expected of the picture what its file loses; `missed`, where less than the PSNR
+// that was asked for is expected then. `rgb`: as rendered; zero when it was
 // not asked for.
 void rn_budget_encoded(struct rn_host *host, const struct rn_wire_render *render,
                        const struct rn_picture *rgb, const uint8_t *bytes, size_t size,
