@@ -11,6 +11,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "common/dataset/points.h"
 #include "common/dataset/reader.h"
 #include "common/math/rotation.h"
 
@@ -317,7 +318,7 @@ static enum rn_status read_point(struct bundle *bundle, struct rn_error *err) {
     size_t count = 0, index = points->count;
     enum rn_status status = numbers(&bundle->text, values, 6, err);
     if (status || (status = how_many(&bundle->text, "sightings", 8, &count, err))) return status;
-    bool sound = isfinite(values[0] + values[1] + values[2]) && index < RN_POINTS_MAX;
+    bool sound = rn_points_take(values) && index < RN_POINTS_MAX;
     bundle->bad_points += !sound;
     if (sound &&
         !grow((void **)&points->items, index, &bundle->point_capacity, sizeof *points->items))
@@ -349,8 +350,8 @@ static enum rn_status read_points(struct bundle *bundle, struct rn_error *err) {
                         bundle->orphans, bundle->orphan);
     if (bundle->bad_points)
         rn_problems_add(problems, RN_SEVERITY_WARNING, bundle->text.path,
-                        "%zu of its %zu points have no coordinates or are too many; they are left "
-                        "out",
+                        "%zu of its %zu points have no coordinates or ones beyond 1e12, or are too "
+                        "many; they are left out",
                         bundle->bad_points, bundle->point_count);
     return RN_OK;
 }

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "common/dataset/colmap_files.h"
+#include "common/dataset/points.h"
 #include "common/math/rotation.h"
 
 #define MAX_MODELS 32
@@ -365,11 +366,6 @@ static enum rn_status add_point(struct model *model, const struct rn_colmap_poin
     return RN_OK;
 }
 
-static bool is_finite(const struct rn_colmap_point *point) {
-    return isfinite(point->position[0]) && isfinite(point->position[1]) &&
-           isfinite(point->position[2]);
-}
-
 static enum rn_status read_points(struct model *model, struct rn_error *err) {
     struct rn_colmap_file file;
     struct rn_colmap_point point;
@@ -381,7 +377,7 @@ static enum rn_status read_points(struct model *model, struct rn_error *err) {
     for (; status == RN_OK; at++) {
         status = rn_colmap_next_point(&file, &point, &more, err);
         if (status || !more) break;
-        if (at % stride == 0 && is_finite(&point))
+        if (at % stride == 0 && rn_points_take(point.position))
             status = add_point(model, &point, &capacity, &key_capacity, err);
     }
     model->thinned = at > model->point_count;

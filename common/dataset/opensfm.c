@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "common/dataset/intrinsics.h"
+#include "common/dataset/points.h"
 #include "common/math/rotation.h"
 
 #define DOCUMENT "reconstruction.json"
@@ -247,7 +248,8 @@ static enum rn_status read_points(struct model *model, const struct rn_json *of,
         struct rn_point *point = &points->items[points->count];
         double colour[3] = {128, 128, 128};
         bool sound = points->count < RN_POINTS_MAX &&
-                     rn_json_matrix(&at, "coordinates", 0, 3, point->position, NULL) == RN_OK;
+                     rn_json_matrix(&at, "coordinates", 0, 3, point->position, NULL) == RN_OK &&
+                     rn_points_take(point->position);
         if (rn_json_find(&at, "color", &ignored))
             sound = sound && rn_json_matrix(&at, "color", 0, 3, colour, NULL) == RN_OK;
         left_out += !sound;
@@ -262,8 +264,8 @@ static enum rn_status read_points(struct model *model, const struct rn_json *of,
     rn_json_where(of, where);
     if (left_out)
         rn_problems_add(model->reader->problems, RN_SEVERITY_WARNING, where,
-                        "%zu of its %zu points have no coordinates or are too many; they are left "
-                        "out",
+                        "%zu of its %zu points have no coordinates or ones beyond 1e12, or are too "
+                        "many; they are left out",
                         left_out, count);
     return RN_OK;
 }

@@ -1,4 +1,5 @@
 #include "common/dataset/ply.h"
+#include "common/dataset/points.h"
 
 #include <errno.h>
 #include <inttypes.h>
@@ -192,7 +193,7 @@ static uint8_t channel(double value) {
 
 static void add_vertex(const struct ply *ply, const double values[WANTED],
                        struct rn_points *points) {
-    if (!isfinite(values[X]) || !isfinite(values[Y]) || !isfinite(values[Z])) return;
+    if (!rn_points_take(values + X)) return;
     struct rn_point *point = &points->items[points->count++];
     *point = (struct rn_point){.position = {values[X], values[Y], values[Z]}, .error = -1};
     for (int i = 0; i < 3; i++)

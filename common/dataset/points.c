@@ -36,10 +36,15 @@ enum rn_status rn_points_write(const struct rn_points *points, const char *path,
     return status;
 }
 
+bool rn_points_take(const double position[3]) {
+    for (int i = 0; i < 3; i++)
+        if (!(fabs(position[i]) <= RN_CAMERA_MAX_AWAY)) return false;
+    return true;
+}
+
 static bool sound(const struct rn_points *points) {
     for (size_t i = 0; i < points->count; i++)
-        for (int j = 0; j < 3; j++)
-            if (!isfinite(points->items[i].position[j])) return false;
+        if (!rn_points_take(points->items[i].position)) return false;
     for (size_t i = 0; i < points->sighting_count; i++) {
         const struct rn_sighting *sighting = &points->sightings[i];
         if (sighting->point >= points->count || !isfinite(sighting->x) || !isfinite(sighting->y))

@@ -14,6 +14,8 @@ enum rn_status rn_points_write(const struct rn_points *points, const char *path,
 // RN_ERROR_INVALID for a file that is cut, or has other numbers than a point's or sighting's.
 enum rn_status rn_points_read(const char *path, struct rn_points *ret_points,
                               struct rn_error *err) RN_MUST_CHECK;
+// Whether a point may lie there: as a camera (RN_CAMERA_MAX_AWAY).
+bool rn_points_take(const double position[3]);
 // Only the first so many stay, and no sightings.
 void rn_points_cut(struct rn_points *points, size_t count);
 void rn_points_finish(struct rn_points *points);

@@ -153,13 +153,13 @@ START_TEST(without_a_list) {
 END_TEST
 
 START_TEST(what_is_left_out_is_told) {
-    put_capture(HEAD "2 2\n" FIRST SECOND "nan 0 0\n1 2 3\n1 0 0 1 1\n"
+    put_capture(HEAD "2 3\n" FIRST SECOND "nan 0 0\n1 2 3\n1 0 0 1 1\n0 0 2e12\n1 2 3\n1 0 0 1 1\n"
                      "1 0 0\n1 2 3\n4 0 0 1 1 2 0 1 1 -1 0 1 1 1 0 nan 1\n",
                 LIST);
     read_ok(folder);
     ck_assert(problems_tell(RN_SEVERITY_WARNING,
                             "3 of its sightings are by photographs that it does not"));
-    ck_assert(problems_tell(RN_SEVERITY_WARNING, "1 of its 2 points"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "2 of its 3 points"));
     ck_assert_uint_eq(dataset->points.count, 1);
     ck_assert_uint_eq(dataset->points.sighting_count, 1);
     ck_assert_uint_eq(dataset->points.sightings[0].point, 0);

@@ -304,7 +304,8 @@ START_TEST(no_points) {
     ck_assert(tells(RN_SEVERITY_WARNING, "no sparse points"));
     ck_assert_uint_eq(dataset->points.count, 0);
     rn_dataset_destroy(&dataset);
-    put_text("sparse/0/points3D.txt", "5 0 0 0 1 1 1 0.5\n6 nan 0 0 1 1 1 0.5\n");
+    put_text("sparse/0/points3D.txt",
+             "5 0 0 0 1 1 1 0.5\n6 nan 0 0 1 1 1 0.5\n7 0 2e12 0 1 1 1 0.5\n");
     read_ok(folder);
     ck_assert(tells(RN_SEVERITY_WARNING, "belong to none"));
     ck_assert_uint_eq(dataset->points.count, 1);

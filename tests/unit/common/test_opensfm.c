@@ -211,10 +211,12 @@ START_TEST(bad_document) {
 END_TEST
 
 START_TEST(points_that_are_not_finite) {
-    put_capture("[" MODEL("\"c\":" BROWN, SHOTS, "\"1\":{\"coordinates\":[NaN,0,0]}," POINTS) "]");
+    put_capture("[" MODEL(
+        "\"c\":" BROWN, SHOTS,
+        "\"1\":{\"coordinates\":[NaN,0,0]},\"9\":{\"coordinates\":[0,-2e12,0]}," POINTS) "]");
     read_ok(folder);
     ck_assert_uint_eq(dataset->points.count, 2);
-    ck_assert(problems_tell(RN_SEVERITY_WARNING, "1 of its 3 points"));
+    ck_assert(problems_tell(RN_SEVERITY_WARNING, "2 of its 4 points"));
 }
 END_TEST
 

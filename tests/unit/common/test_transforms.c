@@ -274,8 +274,9 @@ START_TEST(named_points) {
     const uint8_t rest[5] = {7, 0, 0, 8, 9};
     put_named_points();
     if (_i == 0)
-        put_text("points.ply", PLY("ascii", "3", "float") "1 2 3 7 0 8 9\n-4.5 5 6 7 0 8 9\n"
-                                                          "nan 0 0 1 1 1 1\n");
+        put_text("points.ply",
+                 PLY("ascii", "4", "float") "1 2 3 7 0 8 9\n-4.5 5 6 7 0 8 9\n2e12 0 0 1 1 1 1\n"
+                                            "nan 0 0 1 1 1 1\n");
     size = strlen(strcpy(bytes, PLY("binary_little_endian", "2", "double")));
     for (int i = 0; i < 2; i++, size += 29) {
         memcpy(bytes + size, vertices[i], 24);
