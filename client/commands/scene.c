@@ -124,6 +124,11 @@ static void print_viewing(const struct rn_viewing_record *viewing) {
     print_field("", "trained on %s, written by ripnerf %s", viewing->dataset, viewing->version);
 }
 
+// What the kernels of server/engine/cuda do not do.
+static void print_what_a_gpu_leaves(void) {
+    print_field("CPU's alone", "cost, surfaces and a crop of a picture");
+}
+
 static void print_scene(const void *message) {
     const struct rn_scene *scene = message;
     const struct rn_scene_description *made = &scene->description;
@@ -144,6 +149,7 @@ static void print_scene(const void *message) {
     print_field("parameters", "%s",
                 *scene->parameters_sha256 ? scene->parameters_sha256 : "no checkpoint yet");
     if (*made->kernels) print_field("kernels", "%s", made->kernels);
+    if (strncmp(made->kernels, "sm_", 3) == 0) print_what_a_gpu_leaves();
     if (made->memory_bytes != RN_ABSENT) {
         rn_format_bytes((double)made->memory_bytes, bytes, sizeof bytes);
         print_field("memory", "%s", bytes);
@@ -305,8 +311,7 @@ static void print_info(const void *message) {
                     (long long)info->threads);
     else
         print_field("device", "not known: no runner has answered");
-    if (strncmp(info->device, "cuda", 4) == 0)
-        print_field("CPU's alone", "cost, surfaces and a crop of a picture");
+    if (strncmp(info->device, "cuda", 4) == 0) print_what_a_gpu_leaves();
     if (*info->kernels) {
         printf("%-12s%s, of", "kernels", info->kernels);
         for (size_t i = 0; i < info->available_kernel_count; i++)
