@@ -397,12 +397,13 @@ static enum rn_status triangulate(struct import *import, struct rn_dataset *sour
                                   void *context, struct rn_error *err) {
     struct last_part part = {progress, context, import->view_count};
     size_t count, levels = (size_t)import->levels;
-    import->gains_alone = rn_faces_one_way(source);
+    bool depths = rn_faces_one_way(source);
     import->own_points = source->points.count;
     enum rn_status status =
         rn_triangulation_solve(import->triangulation, import->options->threads, source,
                                progress ? go_on : NULL, &part, &count, err);
     if (status || !count) return status;
+    import->gains_alone = depths;
     if ((status = rn_dataset_find_depths(source, err)) ||
         (status = rn_exposures_create(source, &import->exposures, err)))
         return status;

@@ -1,5 +1,4 @@
 #include "common/dataset/ply.h"
-#include "common/dataset/points.h"
 
 #include <errno.h>
 #include <inttypes.h>
@@ -8,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+
+#include "common/dataset/points.h"
 
 #define PROPERTIES 64
 #define HEADER_LINES 1000
