@@ -34,11 +34,11 @@ static void bring_to(struct rn_train_config *config, const struct rn_progress *p
 
 void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress *progress) {
     double done = rn_schedule_done(config, progress);
-    if (!config->until_plateau || progress->plateau || !(done >= LAST_GROWTH)) return;
+    if (!config->until_plateau || progress->plateau || done >= 1) return;
     bool first = progress->gained_seconds <= 0;
     if (first || progress->psnr >= progress->gained_psnr + PLATEAU_DB) {
-        progress->gained_psnr = progress->psnr;
-        progress->gained_seconds = progress->train_seconds;
+        progress->gained_psnr = fmax(progress->psnr, progress->gained_psnr);
+        if (done >= LAST_GROWTH) progress->gained_seconds = progress->train_seconds;
         return;
     }
     progress->plateau = progress->train_seconds >= PLATEAU_PATIENCE * progress->gained_seconds;

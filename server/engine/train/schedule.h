@@ -17,8 +17,9 @@ double rn_schedule_done(const struct rn_train_config *config, const struct rn_pr
 // Rays that the whole training will draw if it goes on as it did so far; NAN without a limit.
 double rn_schedule_rays(const struct rn_train_config *config, const struct rn_progress *progress);
 // After a new held-out figure, where the training is to end at its plateau: once the planes have
-// their final size, and half as much time again has gained less than 0.1 dB, the limits are brought
-// so near that the last quarter of the schedule, in which the rate decays, is what is left.
+// their final size, and half as much time again has gained less than 0.1 dB over the best figure so
+// far, the limits are brought so near that the last quarter of the schedule, in which the rate
+// decays, is what is left. At a limit it is that which ends the training.
 void rn_schedule_note_figure(struct rn_train_config *config, struct rn_progress *progress);
 // Whether photographs that are withheld, to tell the progress by, are to be trained on from now on:
 // after `give_back` of the schedule, or at the plateau where the training ends by it.

@@ -22,6 +22,7 @@
 #define FOG_S 10.0                    // nor, for as long as that,
 #define FOG_STEPS 256                 // while the field is a fog, whose pictures take the longest
 #define EVALUATION_GROWTH 0.5         // of the time trained so far, until the next round,
+#define PLATEAU_GROWTH 0.1            // the same where the training ends at its plateau
 #define EVALUATION_INTERVAL_S 30.0    // but this at most,
 #define TRAIN_PER_EVALUATION 4.0      // and this many times the last round's time at least
 #define CHECKPOINT_INTERVAL_S 30.0    // at most; a fifth of the time trained, but FIRST_ at least
@@ -424,7 +425,8 @@ static bool go_on_saving(struct rn_host *host) {
 // ---- slices --------------------------------------------------------------------------------
 
 // A figure within seconds, then ever fewer: half as long again after each, a fifth of the time at
-// most; and the last that can be had. Training does not depend on it.
+// most; and the last that can be had. Training does not depend on it, but for one that ends at its
+// plateau, which needs more of them to see it.
 static bool evaluation_is_due(const struct rn_training *training,
                               const struct rn_progress *progress) {
     double since = progress->train_seconds - training->evaluated_at;
@@ -435,7 +437,9 @@ static bool evaluation_is_due(const struct rn_training *training,
     if (training->evaluated_step < 0)
         return since >= FIRST_EVALUATION_S && progress->step >= FIRST_EVALUATION_STEPS &&
                (since >= FOG_S || progress->step >= FOG_STEPS);
-    double wait = fmin(EVALUATION_GROWTH * training->evaluated_at, EVALUATION_INTERVAL_S);
+    bool to_plateau = rn_trainer_config(training->trainer)->until_plateau;
+    double wait = fmin((to_plateau ? PLATEAU_GROWTH : EVALUATION_GROWTH) * training->evaluated_at,
+                       EVALUATION_INTERVAL_S);
     return since >= fmax(wait, TRAIN_PER_EVALUATION * training->round_seconds);
 }
 

@@ -45,6 +45,11 @@ static double flat(double seconds) {
     return 30;
 }
 
+// But for a figure that is worse by chance, at 210 seconds.
+static double dips(double seconds) {
+    return fabs(seconds - 210) < 1 ? 29.8 : 30;
+}
+
 // 0.05 dB in half as much time again: more than nothing, less than what is waited for.
 static double creeps(double seconds) {
     return 20 + 0.05 * log(seconds) / log(1.5);
@@ -69,6 +74,19 @@ START_TEST(what_gains_no_more_decays_and_ends) {
                             0.06 * run.config.learning_rate);
         ck_assert_int_eq(rn_schedule_base(&run.config, &run.progress), run.config.grow_to);
     }
+}
+END_TEST
+
+START_TEST(a_bad_figure_is_no_beginning) {
+    struct run run = run_of(600, 0);
+    ck_assert_double_eq_tol(train(&run, 30, dips), 330 / 0.75, 30);
+}
+END_TEST
+
+START_TEST(the_end_is_no_plateau) {
+    struct run run = run_of(600, 0);
+    train(&run, 200, flat); // at 400 seconds it would be too early, at 600 it is over
+    ck_assert(!run.progress.plateau);
 }
 END_TEST
 
@@ -123,6 +141,8 @@ int main(void) {
     TCase *all = tcase_create("all");
     tcase_add_test(all, what_gains_goes_on_to_its_limit);
     tcase_add_test(all, what_gains_no_more_decays_and_ends);
+    tcase_add_test(all, a_bad_figure_is_no_beginning);
+    tcase_add_test(all, the_end_is_no_plateau);
     tcase_add_test(all, steps_are_limits_as_well);
     tcase_add_test(all, a_late_plateau_is_the_end);
     tcase_add_test(all, nobody_else_is_stopped);
