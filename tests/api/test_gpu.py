@@ -112,3 +112,17 @@ def test_a_training_goes_on(build, module, scene, tmp_path):
     ended = quality(build, module, scene, "device=cuda", f"resume={tmp_path}/c", saved)
     digest = re.compile(r"parameters \w+")
     assert digest.search(ended.stdout).group(0) == digest.search(whole.stdout).group(0)
+
+
+def test_what_a_second_call_carries(kit, build, scene, tmp_path):
+    """The views that the first kit has not, without programs: both together are the scene's."""
+    subprocess.run([sys.executable, BENCH / "gpu_pack.py", build, scene, tmp_path / "more", "--beside", kit,
+                    "--test", "99", "--val", "99"], check=True)
+    assert [path.name for path in (tmp_path / "more").iterdir()] == ["photos"]
+    for split in ("train", "val", "test"):
+        stems = [[Path(frame["file_path"]).stem for frame in json.loads(
+            (folder / f"transforms_{split}.json").read_text())["frames"]]
+            for folder in (scene, kit / "photos", tmp_path / "more" / "photos")]
+        assert sorted(stems[1] + stems[2]) == sorted(stems[0]), (split, stems)
+        assert bool(stems[2]) == (split != "train"), stems
+        assert all((tmp_path / "more" / "photos" / split / f"{stem}.webp").is_file() for stem in stems[2])

@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
 """What a GPU is asked in half an hour, stage by stage; gpu.sh starts it.
 
-    gpu.py DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE] [--known FILE]
+    gpu.py DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE] [--known FILE] [--more DIR]
 
 DATA is a scene of NeRF-synthetic, OUT gets results.json, table.md, log.txt and profile.csv, anew after
 every stage. A call ends before --seconds have passed, with exit code 75 where stages are left; the next
 call goes on: a stage that was done is not done again, a training goes on from its checkpoint. What that
 needs is kept in --work (OUT/work), for machines that empty OUT between two calls. On another machine --known
-takes the results.json of one that is gone: what was done there is not done again. Each stage has a limit
+takes the results.json of one that is gone: what was done there is not done again. --again forgets all that
+is known of a stage, its checkpoint too. --more names further photographs of the scene (gpu_pack.py --beside),
+by a second call, as one carries 64 MiB: `data` is done anew with both, what was trained on fewer stays as it
+is, and trainings under way begin anew. Each stage has a limit
 of its own; one that fails says so in the table and does not stop the others. --trial takes tiny fields
 and few steps, to try the command itself where a device is slow.
 """
@@ -28,6 +31,7 @@ from gpu_scenes import share
 HERE = Path(__file__).resolve().parent
 MORE = 75  # exit code: another call goes on; of tests/bench/quality too
 SKIPPED = 77  # of a test program: not on this machine
+SPLITS = ("train", "val", "test")
 FINAL = ("done", "failed", "absent", "out of time")
 SMALL = ["planes=3", "channels=4", "levels=2", "width=16", "occupancy=16", "samples=1024", "step=0.1"]
 GPU = ("name", "driver_version", "memory.total", "clocks.sm", "clocks.max.sm", "clocks.mem", "clocks.max.mem", "power.limit")
@@ -57,6 +61,7 @@ class Call:
     def __init__(self, given):
         self.data, self.out, self.trial = given.data.resolve(), given.out.resolve(), given.trial
         self.work = (given.work or given.out / "work").resolve()
+        self.more = [folder.resolve() for folder in given.more]
         self.deadline = time.monotonic() + given.seconds
         self.stage, self.stage_end = "", 0.0  # which is under way, and when its time is over
         self.out.mkdir(parents=True, exist_ok=True)
@@ -70,6 +75,15 @@ class Call:
 
     def log(self):
         return self.work / f"{self.stage.replace(', ', '-').replace(' ', '-')}.log"
+
+    def checkpoint(self):
+        return self.log().with_suffix(".safetensors")
+
+    def forget(self, stage):
+        """Nothing is left of what was begun of it."""
+        self.stage = stage
+        self.log().unlink(missing_ok=True)
+        self.checkpoint().unlink(missing_ok=True)
 
     def run(self, *command, codes=(0,), **environment):
         """What a program says, which is ended when its stage's time is over; its exit code after it."""
@@ -119,15 +133,50 @@ def machine(call):
     return found
 
 
+def frames_of(folder, split):
+    return json.loads((folder / f"transforms_{split}.json").read_text(encoding="utf-8"))
+
+
+def gathered(call):
+    """One scene of the photographs that lie in several folders, each of which has some of every split."""
+    target = call.work / "photos"
+    shutil.rmtree(target, ignore_errors=True)
+    for split in SPLITS:
+        found, document = {}, {}
+        for folder in (call.data, *call.more):
+            document = frames_of(folder, split)
+            for frame in document["frames"]:
+                name = frame["file_path"]
+                found[name] = frame
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(folder / name, target / name)
+        (target / f"transforms_{split}.json").write_text(
+            json.dumps(document | {"frames": [found[name] for name in sorted(found)]}), encoding="utf-8")
+    return target
+
+
+def counts(call):
+    """Of the photographs that --more names, by folder and split."""
+    return [len(frames_of(folder, split)["frames"]) for folder in call.more for split in SPLITS]
+
+
+def is_more(call):
+    """Whether photographs are named that the data were not made of."""
+    known = call.work / "photographs.json"
+    return bool(call.more) and (not known.exists() or json.loads(known.read_text(encoding="utf-8")) != counts(call))
+
+
 def data(call):
     """The photographs on four scales as the paper has them, and at 400 pixels as the CPU's figures."""
     views = {}
+    source = gathered(call) if call.more else call.data
     for name, options in (("paper", ["scales=4", "alpha=straight"]), ("standard", ["max_size=400"])):
         target = call.work / name
         if not (target / "ready").exists():
             shutil.rmtree(target, ignore_errors=True)
-            call.run(call.program("import"), call.data, target, *options)
+            call.run(call.program("import"), source, target, *options)
             (target / "ready").touch()
+    write(call.work / "photographs.json", json.dumps(counts(call)))
     with open(call.work / "standard" / "dataset.json", encoding="utf-8") as file:
         for frame in json.load(file)["frames"]:
             views[frame["split"]] = views.get(frame["split"], 0) + 1
@@ -198,7 +247,7 @@ SCALE = r"^test( one cone a pixel,)? mean over scales: ([\d.]+)"
 
 def train(call, folder, *options, goals=()):
     """A training as far as this call's time goes, on from where the last one ended; then its test views."""
-    checkpoint = call.work / f"{call.log().stem}.safetensors"
+    checkpoint = call.checkpoint()
     before = call.said() if call.log().exists() else ""
     missing = [goal for goal in goals if f"goal {goal} dB reached" not in before]
     wall = max(1, call.stage_end - time.monotonic() - (1 if call.trial else 45))
@@ -232,6 +281,7 @@ def paper(call, steps, goals):
 
 def sharing(call):
     """Two scenes of a daemon whose room on the device is enough for one and a half."""
+    shutil.rmtree(call.work / "daemon", ignore_errors=True)  # of a call that cut it short
     small = {"planes": 3, "base": 16, "channels": 4, "max_time_s": 2} if call.trial else {"max_time_s": 10}
     return share(call.program("ripnerfd"), call.work / "standard", call.work / "daemon", call.log(), small,
                  2 if call.trial else 10, call.stage_end)
@@ -365,6 +415,22 @@ def known_elsewhere(path):
     return {name: stage for name, stage in known.items() if stage["state"] in FINAL and name not in ("machine", "data")}
 
 
+def prepare(call, again, state):
+    """Takes off `state` what is to be done anew, and off the disk what it left."""
+    data_anew = "data" in again or is_more(call)
+    for name in again:
+        state.pop(name, None)
+        call.forget(name)
+    if data_anew:
+        state.pop("data", None)
+        for name in ("paper", "standard"):
+            (call.work / name / "ready").unlink(missing_ok=True)
+        for stage in STAGES:
+            if state.get(stage.name, {}).get("state") == "unfinished":
+                state.pop(stage.name)
+                call.forget(stage.name)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
@@ -372,16 +438,16 @@ def main():
     parser.add_argument("--work", type=Path)
     parser.add_argument("--seconds", type=float, default=570)
     parser.add_argument("--trial", action="store_true")
-    parser.add_argument("--again", action="append", default=[], metavar="STAGE")
+    parser.add_argument("--again", action="append", default=[], metavar="STAGE", choices=[s.name for s in STAGES])
     parser.add_argument("--known", type=Path, metavar="FILE")
+    parser.add_argument("--more", type=Path, action="append", default=[], metavar="DIR")
     given = parser.parse_args()
     call = Call(given)
     kept = call.work / "results.json"
     state = known_elsewhere(given.known) if given.known else {}
     if kept.exists():
         state |= json.loads(kept.read_text(encoding="utf-8"))
-    for name in given.again:
-        state.pop(name, None)
+    prepare(call, given.again, state)
     for begun, stage in enumerate(s for s in STAGES if state.get(s.name, {}).get("state") not in FINAL):
         if begun and call.left() < 3 + (0 if call.trial else stage.least):
             continue  # the next call's

@@ -1,7 +1,7 @@
 #!/bin/bash
 # Half an hour on a machine with a GPU, spent by one command; gpu.py says which stages there are.
 #
-#   gpu.sh DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE] [--known FILE]
+#   gpu.sh DATA OUT [--work DIR] [--seconds 570] [--trial] [--again STAGE] [--known FILE] [--more DIR]
 #
 # It lies beside programs.tar.xz, as gpu_pack.py laid both there, and needs nothing but the driver,
 # Python 3 and, for the stages of sanitizer and profiler, CUDA's tools.

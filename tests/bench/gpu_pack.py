@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Lays out what a machine with a GPU needs for tests/bench/gpu.sh: programs, libraries, photographs.
 
-    gpu_pack.py BUILD SCENE KIT [--module FILE] [--test 25] [--val 8] [--most 55]
+    gpu_pack.py BUILD SCENE KIT [--module FILE] [--test 25] [--val 8] [--most 55] [--beside FIRST]
 
 SCENE is a scene of NeRF-synthetic. Into KIT go gpu.sh with its parts, the programs with the libraries that
 they link to (but for the C library, which is the machine's) as one archive, and photos/: all training views,
 --test and --val of the others evenly spaced, as lossless WebP, which is a quarter smaller. `KIT/gpu.sh
-KIT/photos OUT` is the command there. Fails where KIT is larger than --most MiB.
+KIT/photos OUT` is the command there. Fails where KIT is larger than --most MiB. --beside lays out photos/
+alone, of those views that the kit FIRST has not: what a second call carries, `FIRST/gpu.sh FIRST/photos OUT
+--more KIT/photos`.
 """
 import argparse
 import json
@@ -79,14 +81,22 @@ def pack_programs(build, module, kit):
         shutil.copy2(HERE / script, kit)
 
 
-def pack_photographs(scene, kit, most):
-    """The splits, of each at most so many views; poses and camera as they are."""
+def carried(kit, split):
+    """The names of a kit's views."""
+    document = json.loads((kit / "photos" / f"transforms_{split}.json").read_text(encoding="utf-8"))
+    return {Path(frame["file_path"]).stem for frame in document["frames"]}
+
+
+def pack_photographs(scene, kit, most, first):
+    """The splits, of each at most so many views, but for those of the kit `first`; poses and camera as they are."""
     for split, count in most.items():
         with open(scene / f"transforms_{split}.json", encoding="utf-8") as file:
             document = json.load(file)
         frames, root = document["frames"], kit / "photos"
         kept = frames if count is None or len(frames) <= count else \
             [frames[i * len(frames) // count] for i in range(count)]
+        there = carried(first, split) if first else set()
+        kept = [frame for frame in kept if Path(frame["file_path"]).stem not in there]
         for frame in kept:
             source = scene / frame["file_path"]
             name = source.name if source.suffix else source.name + ".png"
@@ -95,6 +105,7 @@ def pack_photographs(scene, kit, most):
             with Image.open(source.with_name(name)) as picture:
                 picture.save(target, lossless=True, exact=True, quality=60, method=4)
             frame["file_path"] = f"./{split}/{target.name}"
+        root.mkdir(parents=True, exist_ok=True)
         (root / f"transforms_{split}.json").write_text(json.dumps(document | {"frames": kept}), encoding="utf-8")
         print(f"{split}: {len(kept)} of {len(frames)} views")
 
@@ -108,10 +119,12 @@ def main():
     parser.add_argument("--test", type=int, default=25)
     parser.add_argument("--val", type=int, default=8)
     parser.add_argument("--most", type=float, default=55, help="MiB")
+    parser.add_argument("--beside", type=Path, metavar="FIRST")
     given = parser.parse_args()
     given.kit = given.kit.resolve()
-    pack_programs(given.build, given.module or given.build / MODULE, given.kit)
-    pack_photographs(given.scene, given.kit, {"train": None, "val": given.val, "test": given.test})
+    if not given.beside:
+        pack_programs(given.build, given.module or given.build / MODULE, given.kit)
+    pack_photographs(given.scene, given.kit, {"train": None, "val": given.val, "test": given.test}, given.beside)
     size = sum(path.stat().st_size for path in given.kit.rglob("*") if path.is_file()) / 2**20
     print(f"{given.kit}: {size:.1f} MiB")
     if size > given.most:
