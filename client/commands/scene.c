@@ -124,9 +124,11 @@ static void print_viewing(const struct rn_viewing_record *viewing) {
     print_field("", "trained on %s, written by ripnerf %s", viewing->dataset, viewing->version);
 }
 
-// What the kernels of server/engine/cuda do not do.
+// What a scene on a GPU has the CPU do (tests/ops/device_pictures.c).
 static void print_what_a_gpu_leaves(void) {
-    print_field("CPU's alone", "cost, surfaces and a crop of a picture");
+    print_field("CPU's alone", "cost, surfaces and a crop of a picture; aperture, open shutter and "
+                               "parallel rays;");
+    print_field("", "while it trains, pictures so coarse that they want levels which it has not");
 }
 
 static void print_scene(const void *message) {

@@ -18,9 +18,8 @@ struct rn_render_settings {
     int supersample;
     // A pixel whose four nearest neighbours agree to within this is their mean and is not traced
     // (render/lattice.h): the root mean square distance from that mean of the outputs asked for,
-    // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced,
-    // and always on a device other than the CPU. Above 0.1 the CPU reads the nearest level of a
-    // plane's pyramid alone.
+    // at most 0.5. Of pixels of several cones their quarters are meant. 0 = every pixel is traced.
+    // Above 0.1 the CPU, not a GPU, reads the nearest level of a plane's pyramid alone.
     double tolerance;
     // A budget, which stands instead of all of the above and is resolved to them before a picture
     // is rendered (common/settings/curve.h); the renderer does not look at it. One of: milliseconds

@@ -82,7 +82,9 @@ def test_a_lost_device_ends_the_runner_alone(start, emulated, tmp_path):
     scene = client.json("show", "small")
     assert scene["kernels"].startswith("sm_") and scene["steps"] == 4
     for about in (("info",), ("show", "small")):
-        assert "cost, surfaces and a crop of a picture" in client.run(*about).stdout
+        said = client.run(*about).stdout
+        for part in ("cost, surfaces and a crop of a picture", "aperture, open shutter and parallel rays", "so coarse"):
+            assert part in said, said
     client.run("render", "small", "--view", "test:0", "-o", "picture.png")
 
 

@@ -181,7 +181,59 @@ START_TEST(renders_while_it_trains) {
 }
 END_TEST
 
+// Whether the device renders a picture of so many times the training's distance; it is a picture
+// either way.
+static bool renders_there(struct rn_render_options options, double away) {
+    struct rn_render_result result;
+    for (int k = 0; k < 3; k++)
+        options.camera.world_from_camera[k][3] *= away;
+    OK(rn_render(run.engine, rn_trainer_field(run.trainer), &options, NULL, NULL, &result, &err));
+    bool there = result.stats.on_device;
+    rn_render_result_finish(&result);
+    return there;
+}
+
+// What the client's `info` and `show` call the CPU's alone is rendered there, and nothing else is.
+START_TEST(leaves_to_the_cpu_what_is_listed) {
+    struct rn_train_config config = small_config("draft", 4);
+    const struct rn_box crop = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
+    struct rn_camera instants[2] = {run.dataset->frames[0].camera, run.dataset->frames[1].camera};
+    const struct rn_render_options plain = {
+        .camera = instants[0], .outputs = RN_OUTPUT_RGB, .settings.supersample = 1};
+    struct rn_render_options o;
+    config.field.levels = 4;
+    run_begin("cuda:0", &config);
+    run_to(4);
+    o = plain, o.outputs |= RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA;
+    ck_assert(renders_there(o, 1));
+    o = plain, o.settings = (struct rn_render_settings){.supersample = 2, .tolerance = 0.2};
+    ck_assert(renders_there(o, 1));
+    o = plain, o.settings.subsample = 2;
+    ck_assert(!renders_there(o, 1)); // as a camera twice as far away
+    o = plain, o.shot.optics.exposure = 1, o.shot.optics.white_balance = 5000;
+    ck_assert(renders_there(o, 1));
+    ck_assert(!renders_there(plain, 6)); // more levels than training took
+    static const unsigned inside[] = {RN_OUTPUT_COST, RN_OUTPUT_NORMAL, RN_OUTPUT_LEVEL,
+                                      RN_OUTPUT_FOOTPRINT};
+    for (int i = 0; i < 4; i++) {
+        o = plain, o.outputs |= inside[i];
+        ck_assert(!renders_there(o, 1));
+    }
+    o = plain, o.crop = &crop;
+    ck_assert(!renders_there(o, 1));
+    o = plain, o.shot.optics.aperture = 0.1, o.shot.optics.focus = 3;
+    ck_assert(!renders_there(o, 1));
+    o = plain, o.shot.optics.ortho_height = 2;
+    ck_assert(!renders_there(o, 1));
+    o = plain, o.shot.optics.shutter = 0.5, o.shot.instants = instants, o.shot.instant_count = 2;
+    ck_assert(!renders_there(o, 1));
+    ck_assert(renders_there(plain, 1)); // as before
+    run_end();
+}
+END_TEST
+
 void device_add_pictures(Suite *suite) {
+    device_add(suite, "leaves", leaves_to_the_cpu_what_is_listed);
     device_add(suite, "renders", renders_while_it_trains);
     device_add(suite, "rest", reads_the_cells_of_a_field_at_rest);
 }
