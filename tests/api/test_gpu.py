@@ -126,3 +126,37 @@ def test_what_a_second_call_carries(kit, build, scene, tmp_path):
         assert sorted(stems[1] + stems[2]) == sorted(stems[0]), (split, stems)
         assert bool(stems[2]) == (split != "train"), stems
         assert all((tmp_path / "more" / "photos" / split / f"{stem}.webp").is_file() for stem in stems[2])
+
+
+def test_the_table_has_what_was_counted():
+    """The machine code in cuda.md is that of gpu_code.json, with which the test `cuda machine code` compares."""
+    counted = json.loads((BENCH / "gpu_code.json").read_text())
+    table = (BENCH / "cuda.md").read_text().split("| kernel | registers ")[1].split("\n\n")[0]
+    head, _, *rows = ("| kernel | registers " + table).splitlines()
+    names = [cell.strip() for cell in head.strip("|").split("|")]
+    for row in rows:
+        cells = dict(zip(names, (cell.strip() for cell in row.strip("|").split("|"))))
+        kernel = re.sub(r"^\w+", lambda name: f"rn_{name.group(0)}_kernel", cells.pop("kernel"))
+        assert cells == {name: str(counted[kernel][name]) for name in cells}, kernel
+    assert len(rows) > 20
+
+
+def test_kernels_that_grew_or_are_others(build, tmp_path):
+    module, counted = build / "server" / "engine" / "cuda" / "ripnerf-cuda.so", tmp_path / "counted.json"
+    if not module.is_file():
+        pytest.skip("this build has no CUDA kernels")
+
+    def compare(*options):
+        return subprocess.run([sys.executable, BENCH / "gpu_code.py", module, *options], text=True,
+                              capture_output=True, check=False)
+    assert compare("--json", counted).returncode == 0
+    kernels = json.loads(counted.read_text())
+    assert compare("--before", counted).returncode == 0
+    name = next(name for name, kernel in kernels.items() if kernel["registers"] > 32)
+    smaller = {**kernels, name: {**kernels[name], "registers": 32}}
+    fewer = {other: kernel for other, kernel in kernels.items() if other != name}
+    for known, why in ((smaller, "grew"), (fewer, "only one of both"), ({**kernels, "rn_gone": {}}, "only one of both")):
+        counted.write_text(json.dumps(known))
+        ended = compare("--before", counted)
+        assert ended.returncode == 1 and why in ended.stderr, ended.stderr
+        assert compare("--before", counted, "--report").returncode == 0

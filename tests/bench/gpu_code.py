@@ -7,7 +7,8 @@ Prints a table of Markdown, a row a kernel of the paper's shape (160 features, w
 of local frame a thread, KB of code, and of its instructions the loads and stores by memory, products on tensor
 cores, atomics, fp64, barriers, and waits (instructions that wait for a scoreboard). A generic load (LD) has to
 find out where it goes; what is known to lie in shared memory reads LDS. --before takes what --json wrote and
-prints what changed; fails where a kernel's frame or registers grew, unless --report. It reads the module's ELF images itself and needs none of CUDA's tools; exit code 77 where
+prints what changed; fails where a kernel's frame or registers grew, or where there are others than were
+counted then, unless --report. It reads the module's ELF images itself and needs none of CUDA's tools; exit code 77 where
 there is no module.
 
 Instructions are 16 bytes (compute capability 7.0 and later): bits 0-8 the operation, 9-11 the form of its
@@ -130,9 +131,12 @@ def main():
         print(f"| {name} | {' | '.join(cell(row[column], old.get(column)) for column in COLUMNS)} |")
     grew = [name for name, row in kernels.items() if name in before and
             any(row[column] > before[name][column] for column in ("registers", "frame", "LD"))]
+    anew = f"where that is meant, write them anew with --json {given.before} --report"
     if grew and not given.report:
-        sys.exit(f"gpu_code.py: registers, frames or generic loads grew: {', '.join(grew)}; where that is meant, "
-                 f"write them anew with --json {given.before} --report")
+        sys.exit(f"gpu_code.py: registers, frames or generic loads grew: {', '.join(grew)}; {anew}")
+    others = sorted(before.keys() ^ kernels.keys()) if before else []
+    if others and not given.report:
+        sys.exit(f"gpu_code.py: only one of both has {', '.join(others)}; {anew}")
 
 
 main()
