@@ -109,6 +109,16 @@ def test_frames_and_scores_are_those_of_one_at_a_time(start, emulated, tmp_path)
     assert "views are compared while the next ones are rendered" in log, log
 
 
+def test_doctor_examines_the_device(build, emulated, tmp_path, monkeypatch):
+    monkeypatch.setenv("RIPNERF_CUDA_MODULE", str(emulated))
+    alone = Client(build / "client" / "ripnerf", tmp_path, "http://127.0.0.1:1")
+    report = json.loads(alone.run("doctor", "--json").stdout)
+    cases = {case["name"]: case for case in report["cases"] if case["kernels"] == "cuda"}
+    assert set(cases) == {"pixels beside the CPU's", "the loss along its gradient"}
+    for case in cases.values():
+        assert case["passed"] and case["where"] == "emulated" and 0 < case["worst"] < case["bound"]
+
+
 # ---- memory ---------------------------------------------------------------------------------
 
 def gpu_bytes(daemon):

@@ -328,10 +328,21 @@ static bool takes_the_device(void) {
 // A device whose kernels do otherwise than the CPU's is not taken by `auto`, which says so. _i:
 // which of them does nothing; every one of them counts.
 START_TEST(auto_takes_what_agrees) {
-    static const char *const kernels[] = {
-        NULL,       "shape->render", "shape->train", "shape->shade",
-        "scatter",  "base_backward", "rn_gradient",  "update_network",
-        "rn_order", "sums_backward", "rn_place",     "update_planes"};
+    static const char *const kernels[] = {NULL,
+                                          "shape->render",
+                                          "shape->train",
+                                          "shape->shade",
+                                          "scatter",
+                                          "base_backward",
+                                          "rn_gradient",
+                                          "update_network",
+                                          "rn_order",
+                                          "sums_backward",
+                                          "rn_place",
+                                          "update_planes",
+                                          "head_backward",
+                                          "update_voxels",
+                                          "scatter_voxels"};
     emulate((struct emulation){.skips = kernels[_i]});
     ck_assert_int_eq(takes_the_device(), _i == 0);
 }
@@ -408,7 +419,7 @@ int main(void) {
         TCase *agrees = tcase_create("agrees");
         tcase_add_unchecked_fixture(agrees, NULL, put_back);
         tcase_set_timeout(agrees, 60);
-        tcase_add_loop_test(agrees, auto_takes_what_agrees, 0, 12);
+        tcase_add_loop_test(agrees, auto_takes_what_agrees, 0, 15);
         suite_add_tcase(suite, agrees);
     }
     device_add(suite, "memory", memory_is_counted_first);

@@ -23,8 +23,8 @@ struct rn_device_agreement {
 };
 #define RN_DEVICE_PIXELS 5e-3
 #define RN_DEVICE_GRADIENT 0.1
-// Compares them; `whole`: also the gradients of the paper's networks; else pixels alone where a
-// training finds no room, and `gradient` is NAN. RN_ERROR_NUMERIC where the bounds do not hold,
+// Compares them; `whole`: every group of parameters by itself; else pixels alone where a training
+// finds no room, and `gradient` is NAN. RN_ERROR_NUMERIC where the bounds do not hold,
 // then with `ret` written too; the backend's errors.
 enum rn_status rn_device_check(struct rn_engine *engine, bool whole,
                                struct rn_device_agreement *ret, struct rn_error *err) RN_MUST_CHECK;
