@@ -109,10 +109,9 @@ def test_frames_and_scores_are_those_of_one_at_a_time(start, emulated, tmp_path)
     assert "views are compared while the next ones are rendered" in log, log
 
 
-def test_doctor_examines_the_device(build, emulated, tmp_path, monkeypatch):
-    monkeypatch.setenv("RIPNERF_CUDA_MODULE", str(emulated))
+def test_doctor_examines_the_device(build, emulated, tmp_path):
     alone = Client(build / "client" / "ripnerf", tmp_path, "http://127.0.0.1:1")
-    report = json.loads(alone.run("doctor", "--json").stdout)
+    report = json.loads(alone.run("doctor", "--json", RIPNERF_CUDA_MODULE=str(emulated)).stdout)
     cases = {case["name"]: case for case in report["cases"] if case["kernels"] == "cuda"}
     assert set(cases) == {"pixels beside the CPU's", "the loss along its gradient"}
     for case in cases.values():
