@@ -263,7 +263,7 @@ mutate second step.cuh "queue: an empty ray keeps what another left" 's/if (tile
 mutate places step.cuh "rendering: pixels as they lie, whatever list" 's/view.places ? view.places\[pixel\] : view.first/view.first/'
 mutate places step.cuh "rendering: every picture through the first camera" 's/view.cameras\[place .*\];/view.cameras[0];/'
 mutate places step.cuh "rendering: one cone instead of four" 's/x \* n + cone % n + 0.5/x * n + 0.5/'
-mutate places step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
+mutate march step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
 mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.colour.background : NULL/NULL/'
 mutate places step.cuh "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
 mutate parts backend.cu "rendering: the list of the first part again" 's/p->places->numbers + p->asked/p->places->numbers/'
