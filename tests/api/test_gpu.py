@@ -114,6 +114,52 @@ def test_a_training_goes_on(build, module, scene, tmp_path):
     assert digest.search(ended.stdout).group(0) == digest.search(whole.stdout).group(0)
 
 
+# What stands for the programs: a training that the first call has no time for, and says so as `quality` does.
+STAND_INS = {"import": """
+import json, pathlib, sys
+target = pathlib.Path(sys.argv[2])
+target.mkdir()
+(target / "dataset.json").write_text(json.dumps({"frames": [{"split": "train"}]}))
+""", "quality": """
+import pathlib, sys
+given = dict(word.split("=", 1) for word in sys.argv[2:])
+if not given:
+    sys.exit(2)
+print("asked", *sorted(name + "=" + given[name] for name in given if name not in ("save", "resume", "wall")))
+if "resume" not in given:
+    pathlib.Path(given["save"]).write_text("half")
+    print("goal 36.94 dB reached after 90.0 s")
+    sys.exit(75)
+assert pathlib.Path(given["resume"]).read_text() == "half" and given["save"] == given["resume"]
+print("goal 38.36 dB reached after 170.0 s\\nstep 120000 200.0 s psnr 30\\ntrained with sm_90")
+print("test mean over scales: 38.40")
+"""}
+
+
+def test_a_stage_goes_on_in_the_next_call(tmp_path):
+    """The longest training takes several calls: each goes on from the checkpoint of the one before, and seeks
+    the goals alone that are left."""
+    for name in ("gpu.py", "gpu_scenes.py"):
+        shutil.copy(BENCH / name, tmp_path / name)
+    (tmp_path / "bin").mkdir()
+    for name, script in STAND_INS.items():
+        (tmp_path / "bin" / name).write_text(f"#!{sys.executable}{script}")
+        (tmp_path / "bin" / name).chmod(0o755)
+    stages = re.findall(r'Stage\("([^"]+)"', (BENCH / "gpu.py").read_text())
+    (tmp_path / "known.json").write_text(json.dumps(
+        {name: {"state": "absent"} for name in stages if name != "120,000 steps"}))
+    ended = [subprocess.run([sys.executable, tmp_path / "gpu.py", tmp_path, tmp_path / "out", "--known",
+                             tmp_path / "known.json"], text=True, capture_output=True, check=False) for _ in range(3)]
+    assert [call.returncode for call in ended] == [75, 0, 0], ended
+    known = json.loads((tmp_path / "out" / "results.json").read_text())["120,000 steps"]
+    assert known["state"] == "done", known
+    assert known["found"]["seconds_to"] == {"36.94": 90, "38.36": 170}
+    asked = re.findall(r"^asked (.*)", (tmp_path / "out" / "log.txt").read_text(), re.MULTILINE)
+    assert len(asked) == 2 and "steps=120000" in asked[0] and "train_val=trainval" in asked[0], asked
+    assert "goals=36.94,38.36" in asked[0] and "goals=38.36" in asked[1] and "steps=" not in asked[1], asked
+    assert not list((tmp_path / "out" / "work").glob("*.safetensors"))
+
+
 def test_what_a_second_call_carries(kit, build, scene, tmp_path):
     """The views that the first kit has not, without programs: both together are the scene's."""
     subprocess.run([sys.executable, BENCH / "gpu_pack.py", build, scene, tmp_path / "more", "--beside", kit,
