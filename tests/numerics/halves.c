@@ -258,9 +258,31 @@ static int check_adjoint(struct numerics_random *random, bool fixed) {
     return numerics_close(&c) + (fixed ? numerics_close(&blocks) : 0);
 }
 
+// Every fp16 number of a pixel, as its sign, exponent and fraction say; -0 keeps its sign, NaN is
+// one.
+static int check_numbers(void) {
+    struct numerics_case c = {"3 pixels from fp16 without the instruction, cuda",
+                              "all 65,536",
+                              "numbers that are others",
+                              0,
+                              0,
+                              ""};
+    for (uint32_t half = 0; half < 0x10000; half++) {
+        int exponent = half >> 10 & 31, fraction = half & 1023;
+        double exact =
+            ldexp(exponent > 0 ? 1024 + fraction : fraction, exponent > 0 ? exponent - 25 : -24);
+        double got = (double)cuda_number_of_half(half);
+        if (exponent == 31) exact = fraction ? NAN : INFINITY;
+        bool same =
+            isnan(exact) ? isnan(got) : fabs(got) == exact && !signbit(got) == !(half >> 15);
+        numerics_see(&c, same ? 0 : 1, "%04x", (unsigned)half);
+    }
+    return numerics_close(&c);
+}
+
 int main(void) {
     struct numerics_random random = numerics_random();
-    int failed = check_maps(&random) + check_fetch(&random);
+    int failed = check_maps(&random) + check_fetch(&random) + check_numbers();
     failed += check_adjoint(&random, true) + check_adjoint(&random, false);
     return failed > 0;
 }

@@ -390,6 +390,8 @@ mutate halves $cuda/scatter.cuh "GPU: the first texel's block alone is marked" '
 mutate halves $cuda/scatter.cuh "GPU: blocks marked where a nest moves along x alone" 's/moved |= !stays;/moved |= leaves || x[k \& 1] != n->x[k \& 1];/'
 mutate halves $cuda/scatter.cuh "GPU: blocks not marked where levels change" 's/moved |= !stays;/moved |= x[k \& 1] != n->x[k \& 1] || y[k >> 1] != n->y[k >> 1];/'
 mutate halves $cuda/scatter.cuh "GPU: a nest begins at the first texel" 's/n.lx = n.ly = n.x\[0\] = .*/n.x[1] = n.y[1] = 1; n.marked[0] = n.marked[1] = RN_NOWHERE;/'
+mutate halves $cuda/step.cuh "GPU: an fp16 zero of a pixel is no zero" 's/size < 0x400 ? denormal .* : value/value/'
+mutate halves $cuda/step.cuh "GPU: an fp16 infinity of a pixel is a number" 's/bits += size >= 0x7c00 ? .*/;/'
 mutate kernels $cuda/optimise.cuh "GPU: AdamW squares what fp32 cannot hold" 's/float g = fminf(fmaxf(grad, -1.8e19f), 1.8e19f);/float g = grad;/'
 
 if $dry || grep -q avx512_bf16 /proc/cpuinfo; then

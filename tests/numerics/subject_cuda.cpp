@@ -2,6 +2,7 @@
 // which the machine's approximate functions are as far off as they may be.
 #include "server/engine/cuda/loss.cuh"
 #include "server/engine/cuda/optimise.cuh"
+#include "server/engine/cuda/step.cuh"
 
 extern "C" {
 #include "tests/numerics/subject.h"
@@ -302,6 +303,10 @@ bool cuda_plane_is_touched(const struct cuda_plane *plane, int x, int y) {
 
 double cuda_feature(float sum) {
     return (double)rn_low(rn_pack(sum, 0));
+}
+
+float cuda_number_of_half(uint32_t half) {
+    return rn_from_half(half);
 }
 
 // ---- tables ---------------------------------------------------------------------------------

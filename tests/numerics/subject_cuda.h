@@ -36,6 +36,8 @@ double cuda_plane_gradient(const struct cuda_plane *plane, int lx, int ly, int x
 bool cuda_plane_is_touched(const struct cuda_plane *plane, int x, int y);
 // What is rounded to a feature.
 double cuda_feature(float sum);
+// What the host makes of a pixel's fp16 number where the processor has no instruction for it.
+float cuda_number_of_half(uint32_t half);
 
 #ifdef __cplusplus
 }

@@ -265,7 +265,6 @@ mutate places step.cuh "rendering: every picture through the first camera" 's/vi
 mutate places step.cuh "rendering: one cone instead of four" 's/x \* n + cone % n + 0.5/x * n + 0.5/'
 mutate march step.cuh "rendering: rays that end early stay open" 's/^        rn_close_ended.*/        ;/'
 mutate places step.cuh "rendering: straight colours are averaged as others" 's/view.straight ? march.colour.background : NULL/NULL/'
-mutate places step.cuh "rendering: an fp16 zero is no zero" 's/size < 0x400 ? denormal .* : value/value/'
 mutate parts backend.cu "rendering: the list of the first part again" 's/p->places->numbers + p->asked/p->places->numbers/'
 mutate parts backend.cu "rendering: copied before it is there" 's/^    if (!e) e = cudaStreamWaitEvent.*//'
 mutate parts backend.cu "rendering: all parts in one place" 's/march, f->parts\[stage\])/march, f->parts[0])/'
