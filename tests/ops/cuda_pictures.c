@@ -234,6 +234,8 @@ START_TEST(rays_stop_where_nothing_can_be_seen) {
         rn_close_ended(rn_ended_opacity(0.3f, config.stop), options.colour.background,
                        &expected[i]);
         ck_assert_double_eq_tol(pixels[i].alpha, expected[i].alpha, 0.02);
+        for (int k = 0; k < 3; k++) // nothing behind the stop shows
+            ck_assert_double_eq_tol(pixels[i].rgb[k], expected[i].rgb[k], PIXEL_BOUND);
     }
     test_scene_finish(&s);
 }
