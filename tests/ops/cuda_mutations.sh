@@ -179,7 +179,7 @@ mutate pixels forward.cuh "ray shading: no opacity in the input" \
 mutate pixels shade.cuh "ray shading: a colour without its opacity" 's/+= opacity \* colour/+= colour/'
 mutate places step.cuh "rendering: opacity as blue" 's/four\[2\]}, four\[3\], 0}/four[2]}, four[2], 0}/'
 mutate parts backend.cu "rendering: a part is taken before it is there" 's/d->staged\[(part + 1) % 2\], before/d->staged[part % 2], before/'
-mutate parts backend.cu "rendering: the last part is not taken" 's/(count > 0 || before > 0) \&\& !e/count > 0 \&\& !e/'
+mutate parts backend.cu "rendering: the last part is not taken" 's/^        e = queue_part(f, p, part, \&count);/&\n        if (count == 0) break;/'
 mutate parts backend.cu "rendering: samples of the last part only" 's/counts_anew = part == 0/counts_anew = true/'
 mutate march forward.cuh "ray shading: a turned ray keeps its direction" \
     's/march->turned ? march->look\[i\] : //'
@@ -226,7 +226,7 @@ mutate gradients scatter.cuh "scatter: levels change without a flush" \
 mutate gradients scatter.cuh "scatter: blocks not marked as touched" 's/if (moved \&\& p->channel == 0) rn_mark.*/;/'
 mutate many scatter.cuh "scatter: every piece is a ray's first" 's/returned.first + piece.begin, left/returned.first, left/'
 mutate many scatter.cuh "scatter: pieces that overlap" 's/left < RN_PIECE ? left : RN_PIECE/left/'
-mutate sparse optimise.cuh "update: sparse visits all blocks" 's/(o.update->sparse \&\& !touched)/(0 \&\& !touched)/'
+mutate sparse optimise.cuh "update: sparse visits all blocks" 's/(sparse \& !touched)/(0 \& !touched)/'
 mutate sparse backend.cu "update: dense where there are levels" 's/ c->sparse \&\& .*,$/ c->sparse \&\& f->scene.planes.levels == 1,/'
 mutate whole backend.cu "update: voxels beside uneven planes are visited where samples met them" 's/ \&\& !f->scene.planes.shares,$/,/'
 mutate gradients optimise.cuh "pull-down: no weight for the level" 's/(1 << (k % 4 + k \/ 4))/(1 << (k % 4))/'
