@@ -287,7 +287,7 @@ try run_trained hidden server/engine/cuda/forward.cuh "cells of a place: what is
 mutate cells occupancy.cuh "cells of a place: its end may be empty" 's/if (o.by_sight \&\& !over) over = .*//'
 mutate cells occupancy.cuh "cells of a place: every round has all that came before" 's/^    seen\[i\] = 0;//'
 mutate cells backend.cu "cells of a place: what they showed before is forgotten" 's/if (!e \&\& t->seen \&\& f->batch.seen)/if (false)/'
-mutate_engine "place bytes" train/device.c "engine: what cells showed does not follow to the device" 's/\.seen = t->hull.seen}/.seen = NULL}/'
+mutate_engine "place shown" train/device.c "engine: what cells showed does not follow to the device" 's/\.seen = t->hull.seen}/.seen = NULL}/'
 mutate unbounded loss.cuh "distortion: behind within a tile only" 's/^    d->behind += .*//'
 mutate unbounded loss.cuh "distortion: in distances, not in places" 's/0.5f \* rn_place_of_distance_lane(mid)/mid/'
 mutate unbounded loss.cuh "distortion: every ray of a split pixel has all of its weight" 's|rays\].weight / (float)rays;|rays].weight;|'

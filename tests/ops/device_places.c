@@ -156,6 +156,33 @@ START_TEST(a_window_trains) {
 }
 END_TEST
 
+// Between two rounds over the cells a training is saved and goes on: what they showed only grows.
+START_TEST(what_cells_showed_follows) {
+    struct rn_train_config config = place_config("standard", 20);
+    size_t side = (size_t)config.field.occupancy, cells = side * side * side, shown = 0;
+    uint32_t *before = malloc(cells * sizeof *before);
+    run_begin("cuda:0", &config);
+    run_to(5);
+    OK(rn_trainer_save(run.trainer, run.path, &err));
+    memcpy(before, run.trainer->hull.seen, cells * sizeof *before);
+    run_end();
+    run_begin("cuda:0", NULL);
+    rn_trainer_progress(run.trainer, &run.progress);
+    int64_t begin = run.progress.step;
+    run_to(begin + 1);
+    ck_assert_int_gt(run.progress.step, begin);
+    ck_assert_int_lt(run.progress.step, 16); // the next round
+    OK(rn_trainer_fetch(run.trainer, &err));
+    for (size_t i = 0; i < cells; i++) { // bits of floats that are not negative
+        shown += before[i] != 0;
+        ck_assert_uint_ge(run.trainer->hull.seen[i], before[i]);
+    }
+    ck_assert_uint_gt(shown, 100);
+    run_end();
+    free(before);
+}
+END_TEST
+
 // With rounds over the cells between.
 START_TEST(goes_on_to_the_same_bytes) {
     struct rn_train_config config = place_config("standard", 20);
@@ -169,5 +196,6 @@ void device_add_places(Suite *suite) {
     device_add_with(suite, "hidden", what_is_hidden_shows_nothing, make_place);
     device_add_with(suite, "place", a_place_trains, make_place);
     device_add_with(suite, "window", a_window_trains, make_window);
+    device_add_with(suite, "place shown", what_cells_showed_follows, make_place);
     device_add_with(suite, "place bytes", goes_on_to_the_same_bytes, make_place);
 }
