@@ -128,8 +128,7 @@ static enum rn_status find_dearest(struct rn_work *work, struct rn_field *field,
         size_t i = k * (pictures->count - 1) / (looks - 1);
         pictures->describe(pictures->context, i, ret_options);
         ret_options->settings = *quickest;
-        enum rn_status status = rn_render(work->host->engine, field, ret_options,
-                                          rn_work_keep_going, work, &result, err);
+        enum rn_status status = rn_work_render(work, field, ret_options, &result, err);
         if (status) return status;
         if (result.stats.samples > most) most = result.stats.samples, dearest = i;
         rn_render_result_finish(&result);
@@ -146,12 +145,9 @@ static enum rn_status time_picture(struct rn_work *work, struct rn_field *field,
     *ret_ms = INFINITY;
     for (int i = 0; i < 2; i++) {
         struct rn_render_result result;
-        double lent_ms = rn_work_lent_ms(work);
-        enum rn_status status =
-            rn_render(work->host->engine, field, options, rn_work_keep_going, work, &result, err);
+        enum rn_status status = rn_work_render(work, field, options, &result, err);
         if (status) return status;
-        lent_ms = rn_work_lent_ms(work) - lent_ms;
-        *ret_ms = fmin(*ret_ms, result.stats.render_ms - lent_ms);
+        *ret_ms = fmin(*ret_ms, result.stats.render_ms);
         rn_render_result_finish(&result);
     }
     return RN_OK;

@@ -146,11 +146,8 @@ static enum rn_status render(struct curve_work *curve, struct rn_field *field,
                                         .outputs = RN_OUTPUT_RGB};
     rn_settings_put(&rn_render_settings, setting->values, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
-    double lent_ms = rn_work_lent_ms(&curve->work);
-    enum rn_status status = rn_render(curve->work.host->engine, field, &options, rn_work_keep_going,
-                                      curve, ret_result, err);
+    enum rn_status status = rn_work_render(&curve->work, field, &options, ret_result, err);
     if (status) return status;
-    ret_result->stats.render_ms -= rn_work_lent_ms(&curve->work) - lent_ms;
     size_t n = (size_t)ret_result->rgb.width * (size_t)ret_result->rgb.height * 3;
     for (size_t i = 0; i < n; i++)
         ret_result->rgb.values[i] = fminf(fmaxf(ret_result->rgb.values[i], 0), 1);

@@ -65,12 +65,17 @@ static bool is_wanted(void *context) {
     return turn == RN_TURN_WAITS || (turn == RN_TURN_FREE && rn_link_has_news(&host->link));
 }
 
-// What trains stands still until its next turn, or until something arrives; false: it is its turn.
+// Until so much later, or until something arrives.
+static void stand_still(struct rn_host *host, int64_t now_ns, int64_t left_ns) {
+    rn_link_pump(&host->link, (int)(left_ns / 1000000) + 1);
+    rn_training_yielded(host, (double)(rn_clock_ns() - now_ns) * 1e-9);
+}
+
+// What trains stands still until its next turn; false: it is its turn.
 static bool stands_still(struct rn_host *host) {
     int64_t now_ns = rn_clock_ns(), left_ns = rn_turns_next_ns(&host->turns, now_ns) - now_ns;
     if (rn_turns_at(&host->turns, now_ns) != RN_TURN_WAITS) return false;
-    rn_link_pump(&host->link, (int)(left_ns / 1000000) + 1);
-    rn_training_yielded(host, (double)(rn_clock_ns() - now_ns) * 1e-9);
+    stand_still(host, now_ns, left_ns);
     return true;
 }
 
@@ -78,8 +83,7 @@ static bool stands_still(struct rn_host *host) {
 static bool rests(struct rn_host *host) {
     int64_t now_ns = rn_clock_ns(), left_ns = rn_turns_rest_ns(&host->turns, now_ns);
     if (left_ns == 0) return false;
-    rn_link_pump(&host->link, (int)(left_ns / 1000000) + 1);
-    rn_training_yielded(host, (double)(rn_clock_ns() - now_ns) * 1e-9);
+    stand_still(host, now_ns, left_ns);
     return true;
 }
 

@@ -193,12 +193,9 @@ static enum rn_status render_frame(struct path_frame *frame, struct rn_field *fi
                                           .png_level = FRAME_PNG_LEVEL,
                                           .depth_scale = path->depth_scale};
     frame_options(path, path->work.done, info->config.background, &stand, &options);
-    double lent_ms = rn_work_lent_ms(&path->work);
     path->together = rn_optics_over(&path->together, &options.shot.optics);
-    enum rn_status status = rn_render(path->work.host->engine, field, &options, rn_work_keep_going,
-                                      &path->work, &frame->result, err);
+    enum rn_status status = rn_work_render(&path->work, field, &options, &frame->result, err);
     if (status) return status;
-    frame->result.stats.render_ms -= rn_work_lent_ms(&path->work) - lent_ms;
     rn_work_rendered(&path->work, frame->result.stats.render_ms,
                      frame->result.stats.nonfinite_rays);
     return RN_OK;

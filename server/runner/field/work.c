@@ -82,6 +82,16 @@ double rn_work_lent_ms(const struct rn_work *work) {
     return (double)work->host->lent_ns * 1e-6;
 }
 
+enum rn_status rn_work_render(struct rn_work *work, struct rn_field *field,
+                              const struct rn_render_options *options,
+                              struct rn_render_result *ret_result, struct rn_error *err) {
+    double lent_ms = rn_work_lent_ms(work);
+    enum rn_status status =
+        rn_render(work->host->engine, field, options, rn_work_keep_going, work, ret_result, err);
+    if (!status) ret_result->stats.render_ms -= rn_work_lent_ms(work) - lent_ms;
+    return status;
+}
+
 void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite_rays) {
     work->render_ms[work->rendered++] = render_ms;
     work->nonfinite += nonfinite_rays;
@@ -95,9 +105,10 @@ enum rn_status rn_work_score(struct rn_work *work, struct rn_field *field,
     double lent_ms = rn_work_lent_ms(work);
     enum rn_status status = rn_evaluate_view(work->host->engine, field, frame, &options,
                                              rn_work_keep_going, work, ret_score, err);
+    if (status) return status;
     ret_score->render_ms -= rn_work_lent_ms(work) - lent_ms;
-    if (!status) rn_work_rendered(work, ret_score->render_ms, ret_score->nonfinite_rays);
-    return status;
+    rn_work_rendered(work, ret_score->render_ms, ret_score->nonfinite_rays);
+    return RN_OK;
 }
 
 int rn_work_choose_views(const struct rn_dataset *dataset, enum rn_split split, int wanted,

@@ -51,6 +51,11 @@ struct rn_work *rn_work_append(struct rn_host *host, const struct rn_work_kind *
 bool rn_work_keep_going(void *work);
 // Milliseconds that such renders took, in all: what they took within a unit is none of its own.
 double rn_work_lent_ms(const struct rn_work *work);
+// rn_render for the job, which lets them go first; its time is its own.
+enum rn_status rn_work_render(struct rn_work *work, struct rn_field *field,
+                              const struct rn_render_options *options,
+                              struct rn_render_result *ret_result,
+                              struct rn_error *err) RN_MUST_CHECK;
 // Notes that a unit was rendered: its time and its rays that were replaced.
 void rn_work_rendered(struct rn_work *work, double render_ms, uint64_t nonfinite_rays);
 // Renders the frame's camera over the scene's background and scores it beside its photograph; notes
