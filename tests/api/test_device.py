@@ -94,6 +94,9 @@ def test_frames_and_scores_are_those_of_one_at_a_time(start, emulated, tmp_path)
     client.run("watch", submit(daemon, preset="draft", planes=3, base=16, channels=4, max_steps=2, device="auto"))
     client.run("turntable", "small", "-o", "turn.json")
     client.run("path", "small", "turn.json", "--size", "16x16", "--frames", "0-5", "-o", "all")
+    told = [re.findall(r"in one call of the device, first (\d+)", path.read_text())
+            for path in (tmp_path / "data").rglob("log")]
+    assert ["6"] in told, told
     for frame in (0, 2, 5):
         client.run("path", "small", "turn.json", "--size", "16x16", "--frames", f"{frame}-{frame}", "-o", f"only-{frame}")
         name = f"{frame:05}.png"

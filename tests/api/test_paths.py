@@ -288,12 +288,13 @@ def test_an_interrupted_call_is_gone_on_with(client, served, tmp_path):
     assert [j["id"] for j in served.get("/v1/jobs", query={"type": "path"}).json["items"]] == [job["id"]]
 
 
-def test_a_path_that_was_cancelled_is_gone_on_with(make_daemon, photographs, client, tmp_path):
+@pytest.mark.parametrize("held, together", [(3, 1), (9, 4)])
+def test_a_path_that_was_cancelled_is_gone_on_with(make_daemon, photographs, client, tmp_path, held, together):
     """By another job, over a restart: with what was there, which stays where it was, too."""
     def frames(job):
         folder = Path(daemon.data) / "jobs" / job / "frames"
         return {file.name: file.stat().st_ino for file in folder.glob("*.png")}
-    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": "3"})
+    daemon = make_daemon({"RIPNERF_FAKE_HELD_PICTURES": str(held), "RIPNERF_FAKE_TOGETHER": str(together)})
     daemon.wait(daemon.upload("data", photographs))
     daemon.train("scene")
     daemon.hold()

@@ -349,11 +349,14 @@ mutate_engine renders scene/device.c "engine: occupancy not read back" \
     's/numbers.occupancy = f->occupancy;/;/'
 mutate_engine renders render/render.c "engine: a far camera rendered with too few levels" \
     's/levels <= f->field->device_levels/true/'
-mutate_engine renders render/render.c "engine: traced points in each other's places" 's/f->lattice.pixels\[f->listed\[i\]\]/f->lattice.pixels[i]/'
+mutate_engine renders render/render.c "engine: traced points in each other's places" 's/f->lattice.pixels\[t->listed\[i\]\]/f->lattice.pixels[i]/'
+mutate_engine together render/render.c "engine: points of pictures that are traced together are the first one's" 's/f->first_point + (uint32_t)(spots/(uint32_t)(spots/'
+mutate_engine together render/render.c "engine: all of one call are seen by the first camera" 's/cameras\[i\] = f\[i\].camera;/cameras[i] = f->camera;/'
+mutate_engine together render/render.c "engine: a picture of another tolerance goes with the first" 's/f->tolerance == first->tolerance \&\& //'
 mutate_engine renders render/render.c "engine: no tolerance on a device" 's/if (rn_lattice_passes(&f->lattice) == 1)/if (true)/'
 mutate_engine rest scene/device.c "engine: firm cells in place of all finer ones" 's/finer\[RN_CELLS_FINE\] = &f->fine;/finer[RN_CELLS_FINE] = \&f->firm;/'
 mutate_engine rest render/render.c "engine: a picture's cells are not chosen for a device" \
-    's/if (status == RN_OK) rn_field_choose_cells/if (status == RN_OK \&\& !f->on_device) rn_field_choose_cells/'
+    's/^    rn_field_choose_cells/    if (!f->on_device) rn_field_choose_cells/'
 mutate_engine paper train/device.c "engine: held-out views over black" \
     's/^    march.straight = .*/    memset(\&march.colour, 0, sizeof march.colour);/'
 mutate_engine diverges train/device.c "engine: never back to good numbers" \

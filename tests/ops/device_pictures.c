@@ -181,6 +181,137 @@ START_TEST(renders_while_it_trains) {
 }
 END_TEST
 
+// The backend's rendering, counted: calls, and cameras of the last.
+static struct {
+    struct rn_backend table;
+    const struct rn_backend *counted;
+    int calls, cameras;
+} counter;
+static enum rn_status
+count_and_render(struct rn_device_field *field, const struct rn_device_view *view,
+                 const struct rn_march_options *options, const struct rn_device_places *places,
+                 struct rn_pixel *ret_pixels, uint64_t *ret_samples, struct rn_error *e) {
+    counter.calls++;
+    counter.cameras = view->camera_count;
+    return counter.counted->render(field, view, options, places, ret_pixels, ret_samples, e);
+}
+static void count_calls(struct rn_field *field) {
+    counter.counted = field->backend;
+    counter.table = *field->backend;
+    counter.table.render = count_and_render;
+    field->backend = &counter.table;
+}
+
+static bool same_bytes(const struct rn_picture *a, const struct rn_picture *b) {
+    size_t count = (size_t)a->width * (size_t)a->height * (size_t)a->channels;
+    return a->width == b->width && a->height == b->height && a->channels == b->channels &&
+           (count == 0 || memcmp(a->values, b->values, count * sizeof *a->values) == 0);
+}
+
+#define MANY 5
+
+// Renders `count` together; the first `fit` of them are, in `calls` calls, and each is what it is
+// by itself.
+static void check_together(struct rn_render_options *options, int count, int fit, int calls) {
+    struct rn_field *field = rn_trainer_field(run.trainer);
+    struct rn_render_result together[MANY], alone;
+    uint64_t samples = 0, samples_alone = 0;
+    int made = 0;
+    counter.calls = 0;
+    OK(rn_render_together(run.engine, field, options, count, NULL, NULL, together, &made, &err));
+    ck_assert_int_eq(made, fit);
+    ck_assert(counter.calls == calls && counter.cameras == fit);
+    ck_assert(!same_bytes(&together[0].rgb, &together[1].rgb));
+    for (int i = 0; i < made; i++) {
+        const struct rn_render_result *t = &together[i];
+        OK(rn_render(run.engine, field, &options[i], NULL, NULL, &alone, &err));
+        ck_assert(t->stats.on_device && alone.stats.on_device);
+        ck_assert(same_bytes(&t->rgb, &alone.rgb) && same_bytes(&t->alpha, &alone.alpha));
+        ck_assert(same_bytes(&t->depth, &alone.depth));
+        ck_assert(t->stats.rays == alone.stats.rays && t->stats.cones == alone.stats.cones);
+        ck_assert(t->stats.interpolation == alone.stats.interpolation);
+        ck_assert(t->stats.render_ms == together[0].stats.render_ms);
+        samples += t->stats.samples;
+        samples_alone += alone.stats.samples;
+        rn_render_result_finish(&together[i]);
+        rn_render_result_finish(&alone);
+    }
+    ck_assert_uint_le(samples_alone - samples, (uint64_t)made); // but for what shares leave over
+}
+
+static bool refuses(void *context) {
+    return --*(int *)context >= 0;
+}
+
+// Cancelled like a picture by itself: before the device is asked; nothing is left.
+static void check_cancelled(struct rn_render_options *options) {
+    struct rn_render_result none[MANY];
+    int looks = 0, made = 7;
+    struct rn_error said;
+    counter.calls = 0;
+    ck_assert(rn_render_together(run.engine, rn_trainer_field(run.trainer), options, MANY, refuses,
+                                 &looks, none, &made, &said) == RN_ERROR_CANCELLED);
+    ck_assert(made == 7 && counter.calls == 0 && looks == -1);
+}
+
+// Several pictures in one call, of a device: the same bytes as one by one, plainly, with depth,
+// several cones, developed each as it is, with a tolerance, up to the first that does not go with
+// them.
+START_TEST(pictures_are_made_together) {
+    struct rn_train_config config = small_config("draft", 4);
+    const struct rn_box crop = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
+    struct rn_render_options many[MANY], o;
+    struct rn_camera instants[2];
+    config.field.levels = 4;
+    run_begin("cuda:0", &config);
+    run_to(4);
+    count_calls(rn_trainer_field(run.trainer));
+    for (int i = 0; i < MANY; i++)
+        many[i] = (struct rn_render_options){.camera = run.dataset->frames[i].camera,
+                                             .outputs = RN_OUTPUT_RGB,
+                                             .settings.supersample = 1};
+    ck_assert_int_eq(rn_render_fit(run.engine, rn_trainer_field(run.trainer), many), 32);
+    check_together(many, MANY, MANY, 1);
+    check_together(many, 2, 2, 1);
+    check_cancelled(many);
+    for (int i = 0; i < MANY; i++) {
+        many[i].outputs = RN_OUTPUT_RGB | RN_OUTPUT_DEPTH | RN_OUTPUT_ALPHA;
+        many[i].settings.supersample = 2;
+        many[i].shot.optics.exposure = 0.5 * i;
+    }
+    check_together(many, MANY, MANY, 1);
+    for (int i = 0; i < MANY; i++)
+        many[i].settings =
+            (struct rn_render_settings){.supersample = 1, .stop = 0.1, .tolerance = 0.05};
+    check_together(many, MANY, MANY, 3);
+    // What does not go with the others.
+    instants[0] = many[3].camera, instants[1] = many[4].camera;
+    for (int k = 0; k < 10; k++) {
+        o = many[3];
+        if (k == 0) o.background[1] = 0.5f;
+        if (k == 1) o.outputs = RN_OUTPUT_RGB;
+        if (k == 2) o.settings.tolerance = 0.06;
+        if (k == 3) o.settings.stop = 0.5;
+        if (k == 4) o.crop = &crop;
+        if (k == 5)
+            o.shot.optics.shutter = 0.5, o.shot.instants = instants, o.shot.instant_count = 2;
+        if (k == 6) o.camera = rn_camera_resized(&o.camera, 8, 8);
+        if (k == 7) o.straight = true;
+        if (k == 9) o.settings.step = 0.5;
+        for (int i = 0; i < 3 && k == 8; i++)
+            o.camera.world_from_camera[i][3] *= 6; // more levels than the device has
+        struct rn_render_options mixed[MANY] = {many[0], many[1], o, many[2], many[4]};
+        check_together(mixed, MANY, 2, 3);
+    }
+    o.crop = &crop;
+    ck_assert_int_eq(rn_render_fit(run.engine, rn_trainer_field(run.trainer), &o), 1);
+    o = many[0], o.camera = rn_camera_resized(&o.camera, 1024, 100);
+    ck_assert_int_eq(rn_render_fit(run.engine, rn_trainer_field(run.trainer), &o), 2);
+    rn_trainer_field(run.trainer)->backend = counter.counted;
+    run_end();
+}
+END_TEST
+
 // Whether the device renders a picture of so many times the training's distance; it is a picture
 // either way.
 static bool renders_there(struct rn_render_options options, double away) {
@@ -234,6 +365,7 @@ END_TEST
 
 void device_add_pictures(Suite *suite) {
     device_add(suite, "leaves", leaves_to_the_cpu_what_is_listed);
+    device_add(suite, "together", pictures_are_made_together);
     device_add(suite, "renders", renders_while_it_trains);
     device_add(suite, "rest", reads_the_cells_of_a_field_at_rest);
 }

@@ -583,20 +583,13 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     const struct rn_camera *camera = &options->camera;
     double begin = now_s();
     enum rn_status status = wait_while_held(keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_RGB)
-        status = fill(&result.rgb, field, options, 3, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_DEPTH)
-        status = fill(&result.depth, field, options, 1, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_ALPHA)
-        status = fill(&result.alpha, field, options, 1, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_NORMAL)
-        status = fill(&result.normal, field, options, 3, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_COST)
-        status = fill(&result.cost, field, options, 1, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_LEVEL)
-        status = fill(&result.level, field, options, 1, keep_going, context, err);
-    if (!status && options->outputs & RN_OUTPUT_FOOTPRINT)
-        status = fill(&result.footprint, field, options, 1, keep_going, context, err);
+    struct rn_picture *const pictures[] = {&result.rgb,      &result.depth, &result.alpha,
+                                           &result.normal,   &result.cost,  &result.level,
+                                           &result.footprint};
+    for (unsigned i = 0; i < sizeof pictures / sizeof *pictures && !status; i++) // by RN_OUTPUT_*
+        if (options->outputs >> i & 1)
+            status = fill(pictures[i], field, options, i % 3 == 0 && i < 6 ? 3 : 1, keep_going,
+                          context, err);
     if (status) {
         rn_render_result_finish(&result);
         return status;
@@ -608,6 +601,23 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
     result.stats.render_ms = (now_s() - begin) * 1e3;
     *ret_result = result;
     return RN_OK;
+}
+
+int rn_render_fit(struct rn_engine *engine, struct rn_field *field,
+                  const struct rn_render_options *options) {
+    return (int)setting("RIPNERF_FAKE_TOGETHER", 1);
+}
+
+enum rn_status rn_render_together(struct rn_engine *engine, struct rn_field *field,
+                                  const struct rn_render_options *options, int count,
+                                  bool (*keep_going)(void *context), void *context,
+                                  struct rn_render_result *ret_results, int *ret_count,
+                                  struct rn_error *err) {
+    enum rn_status status = RN_OK;
+    for (*ret_count = 0; *ret_count < count && !status; *ret_count += !status)
+        status = rn_render(engine, field, &options[*ret_count], keep_going, context,
+                           &ret_results[*ret_count], err);
+    return status;
 }
 
 int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera) {
@@ -624,13 +634,20 @@ void rn_render_result_finish(struct rn_render_result *result) {
     rn_picture_finish(&result->footprint);
 }
 
+struct rn_render_options rn_view_options(const struct rn_field *field, const struct rn_frame *frame,
+                                         const struct rn_render_options *given) {
+    struct rn_render_options options = *given;
+    options.camera = frame->camera;
+    options.outputs = RN_OUTPUT_RGB;
+    return options;
+}
+
 enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
                               const struct rn_frame *frame, const struct rn_render_options *given,
                               bool (*keep_going)(void *context), void *context,
                               struct rn_rendered_view *ret_view, struct rn_error *err) {
-    struct rn_rendered_view view = {.frame = frame, .options = *given};
-    view.options.camera = frame->camera;
-    view.options.outputs = RN_OUTPUT_RGB;
+    struct rn_rendered_view view = {.frame = frame,
+                                    .options = rn_view_options(field, frame, given)};
     enum rn_status status =
         rn_render(engine, field, &view.options, keep_going, context, &view.result, err);
     if (!status) *ret_view = view;

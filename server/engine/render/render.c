@@ -17,16 +17,25 @@
 #define SPARSE 2              // times as many where a pass takes every second pixel a side
 #define TIMED_CONES (1 << 18) // cones a device renders between two looks at the clock
 #define BAND_CONES (1 << 20)  // between two looks at keep_going alone
+#define TOGETHER (1 << 18)    // cones of pictures that a device traces in one call
 #define SPREAD 4096           // points that a thread puts into the lattice at a time
 #define FINE_POINTS (1 << 23) // of a lattice finer than the pixels, at most
 #define LOOK_NS 4000000       // between two looks at keep_going
 #define WHOLE_LEVELS 0.1      // tolerance above which a sample reads the nearest level alone
 #define TIMED_TOLERANCE 1e-9  // of a frame by a deadline, until it is known what there is time for
 
+// Points that a device is to trace, of all frames that it traces in one call, numbers of the first
+// one's points and on; and what it made of them.
+struct trace {
+    uint32_t *listed;
+    struct rn_pixel *traced;
+    _Atomic uint32_t listed_count;
+};
+
 struct frame {
     struct rn_engine *engine;
     struct rn_field *field;
-    const struct rn_render_options *options;
+    struct rn_render_options options;
     struct rn_march_options march;
     struct rn_camera camera; // at the lattice's resolution
     int points;              // of the lattice, a side of a pixel
@@ -42,10 +51,9 @@ struct frame {
     double tolerance; // the largest of the passes
     int64_t late_ns;  // when tracing ends, to leave the rest of a deadline for filling; 0: never
     uint16_t *costs;  // of the lattice's points, where they are asked for
-    // Of a pass on the device: the points that are traced, and those of them that were.
-    uint32_t *listed;
-    struct rn_pixel *traced;
-    _Atomic uint32_t listed_count;
+    int together;     // this frame and those behind it that the device traces in one call
+    uint32_t first_point; // of theirs
+    struct trace *trace;
     struct rn_occupancy_bits before, cells; // that the march reads: uncropped, and for this frame
     _Atomic uint64_t rays, samples;
     _Atomic uint64_t interpolation; // in 2^-32, so that it is the same in any order
@@ -126,17 +134,20 @@ static void list_tile(void *context, int index, int thread) {
     double interpolation = 0;
     int n = rn_lattice_choose(&lattice, f->pass, tile_at(f, index), spots, &interpolation);
     if (isfinite(interpolation)) f->interpolation += (uint64_t)(interpolation * 0x1p32);
-    uint32_t first = atomic_fetch_add(&f->listed_count, (uint32_t)n);
+    f->rays += (uint64_t)n * f->cones * f->cones;
+    uint32_t first = atomic_fetch_add(&f->trace->listed_count, (uint32_t)n);
     for (int i = 0; i < n; i++)
-        f->listed[first + i] = (uint32_t)(spots[i].y * lattice.width + spots[i].x);
+        f->trace->listed[first + i] =
+            f->first_point + (uint32_t)(spots[i].y * lattice.width + spots[i].x);
     (void)thread;
 }
 
 static void put_traced(void *context, int index, int thread) {
     struct frame *f = context;
+    const struct trace *t = f->trace;
     uint32_t begin = (uint32_t)index * SPREAD, end = begin + SPREAD;
-    for (uint32_t i = begin; i < end && i < f->listed_count; i++)
-        f->lattice.pixels[f->listed[i]] = f->traced[i];
+    for (uint32_t i = begin; i < end && i < t->listed_count; i++)
+        f->lattice.pixels[t->listed[i]] = t->traced[i];
     (void)thread;
 }
 
@@ -156,10 +167,10 @@ static enum rn_status check_options(const struct rn_field *field, struct rn_rend
 }
 
 // Pyramid levels that this camera may touch; the training's own when rays are shorter.
-static enum rn_status prepare(struct frame *f, struct rn_error *err) {
+static int levels_of(const struct frame *f) {
     struct rn_camera cones =
         rn_camera_resized(&f->camera, f->camera.width * f->cones, f->camera.height * f->cones);
-    const struct rn_shot *shot = &f->options->shot;
+    const struct rn_shot *shot = &f->options.shot;
     int levels = rn_levels_for_camera(f->field, &cones, (double)f->march.step);
     for (int i = 0; i < shot->instant_count && shot->optics.shutter > 0; i++) {
         struct rn_camera then = rn_shot_camera(shot, &shot->instants[i], f->field);
@@ -167,19 +178,35 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
         int more = rn_levels_for_camera(f->field, &then, (double)f->march.step);
         if (more > levels) levels = more;
     }
+    return levels;
+}
+
+// Whether the device's copy can make what is asked for, of a frame with so many levels.
+static bool is_for_device(const struct frame *f, int levels) {
+    const struct rn_render_options *o = &f->options;
+    bool looks_inside = (o->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
+    return f->field->on_device && levels <= f->field->device_levels &&
+           !rn_shot_needs_viewpoints(&o->shot) && !looks_inside && !o->crop;
+}
+
+// Cells that the march reads, on the CPU or on the device.
+static void choose_cells(struct frame *f, int levels) {
+    rn_field_choose_cells(f->field, levels, exp(-(double)f->march.stop_depth));
+    f->before = f->cells = f->field->cpu.occupancy;
+}
+
+static enum rn_status prepare(struct frame *f, struct rn_error *err) {
+    int levels = levels_of(f);
     enum rn_status status =
         f->field->rests ? rn_field_put_to_render(f->engine, f->field, err) : RN_OK;
     if (status != RN_OK) return status;
-    bool looks_inside = (f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
-    f->on_device = f->field->on_device && levels <= f->field->device_levels &&
-                   !rn_shot_needs_viewpoints(shot) && !looks_inside && !f->options->crop;
+    f->on_device = is_for_device(f, levels);
     if (!f->on_device) status = rn_field_fetch(f->field, NULL, err);
     if (!f->on_device && status == RN_OK)
         status = rn_field_make_ready(f->field, f->engine, levels, err);
-    if (status == RN_OK) rn_field_choose_cells(f->field, levels, exp(-(double)f->march.stop_depth));
-    f->before = f->cells = f->field->cpu.occupancy;
-    if (status != RN_OK || !f->options->crop) return status;
-    status = rn_occupancy_bits_crop(f->field, f->options->crop, &f->cells);
+    if (status == RN_OK) choose_cells(f, levels);
+    if (status != RN_OK || !f->options.crop) return status;
+    status = rn_occupancy_bits_crop(f->field, f->options.crop, &f->cells);
     if (status != RN_OK) return rn_error_set(err, status, "crop", "no memory for its cells");
     f->field->cpu.occupancy = f->cells;
     return RN_OK;
@@ -187,7 +214,7 @@ static enum rn_status prepare(struct frame *f, struct rn_error *err) {
 
 // What the march reads is no longer cut off.
 static void put_back(struct frame *f) {
-    if (f->on_device || !f->options->crop) return;
+    if (f->on_device || !f->options.crop) return;
     f->field->cpu.occupancy = f->before;
     rn_occupancy_bits_destroy(&f->cells);
 }
@@ -229,14 +256,17 @@ static bool is_time_to_look(void *context) {
     return rn_clock_ns() >= ((const struct poll *)context)->look_ns;
 }
 
-// Points of the lattice on the device; given up at `late_ns`, if that is not 0.
+// Points of the frames' lattices on the device; given up at `late_ns`, if that is not 0.
 static enum rn_status trace_there(struct frame *f, const uint32_t *numbers, size_t count,
                                   struct poll *poll, int64_t late_ns, struct rn_pixel *ret,
                                   struct rn_error *err) {
-    const struct rn_device_view view = {.cameras = &f->camera,
-                                        .camera_count = 1,
+    struct rn_camera cameras[RN_DEVICE_CAMERAS];
+    for (int i = 0; i < f->together; i++)
+        cameras[i] = f[i].camera;
+    const struct rn_device_view view = {.cameras = cameras,
+                                        .camera_count = f->together,
                                         .cones = f->cones,
-                                        .halves = !(f->options->outputs & RN_OUTPUT_DEPTH)};
+                                        .halves = !(f->options.outputs & RN_OUTPUT_DEPTH)};
     size_t cones = (size_t)(f->cones * f->cones);
     size_t band = (size_t)(f->late_ns ? TIMED_CONES : BAND_CONES) / cones;
     for (size_t at = 0; at < count; at += band) {
@@ -249,7 +279,6 @@ static enum rn_status trace_there(struct frame *f, const uint32_t *numbers, size
         enum rn_status status =
             rn_cones_render_there(f->field, &f->march, &view, &places, ret + at, &samples, err);
         if (status != RN_OK) return status;
-        f->rays += places.count * cones;
         f->samples += samples;
     }
     return RN_OK;
@@ -259,14 +288,20 @@ static enum rn_status trace_there(struct frame *f, const uint32_t *numbers, size
 static enum rn_status render_pass_there(struct frame *f, int pass, struct poll *poll,
                                         int64_t late_ns, struct rn_error *err) {
     size_t all = (size_t)f->lattice.width * (size_t)f->lattice.height;
-    if (rn_lattice_passes(&f->lattice) == 1)
-        return trace_there(f, NULL, all, poll, late_ns, f->lattice.pixels, err);
-    f->listed_count = 0;
-    rn_pool_run(f->engine->pool, begin_pass(f, pass), list_tile, f);
+    struct trace *t = f->trace;
+    if (rn_lattice_passes(&f->lattice) == 1) {
+        for (int i = 0; i < f->together; i++)
+            f[i].rays = (uint64_t)all * (uint64_t)(f->cones * f->cones);
+        return trace_there(f, NULL, (size_t)f->together * all, poll, late_ns, f->lattice.pixels,
+                           err);
+    }
+    t->listed_count = 0;
+    for (int i = 0; i < f->together; i++)
+        rn_pool_run(f->engine->pool, begin_pass(&f[i], pass), list_tile, &f[i]);
     enum rn_status status =
-        trace_there(f, f->listed, f->listed_count, poll, late_ns, f->traced, err);
+        trace_there(f, t->listed, t->listed_count, poll, late_ns, t->traced, err);
     if (status == RN_OK)
-        rn_pool_run(f->engine->pool, (int)(f->listed_count / SPREAD + 1), put_traced, f);
+        rn_pool_run(f->engine->pool, (int)(t->listed_count / SPREAD + 1), put_traced, f);
     return status;
 }
 
@@ -331,7 +366,7 @@ static enum rn_status render_timed(struct frame *f, struct poll *poll, struct rn
     int passes = rn_lattice_passes(&f->lattice);
     int64_t began_ns = rn_clock_ns();
     // The first pass is traced whole: all the others can be made from it.
-    enum rn_status status = render_pass(f, 0, poll, f->options->first_ns, err);
+    enum rn_status status = render_pass(f, 0, poll, f->options.first_ns, err);
     double point_ns = 0, spent_ns = (double)(rn_clock_ns() - began_ns), missed = 0;
     uint64_t before = 0;
     for (int pass = 1; pass < passes && status == RN_OK; pass++) {
@@ -358,7 +393,7 @@ static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *re
     struct rn_filling filling = {.lattice = &f->lattice,
                                  .points = f->points,
                                  .straight = f->march.straight ? f->march.colour.background : NULL,
-                                 .options = f->options,
+                                 .options = &f->options,
                                  .radius = f->field->bounds.radius};
     return rn_fill_pictures(f->engine, &filling, result, err);
 }
@@ -366,10 +401,10 @@ static enum rn_status fill_pictures(struct frame *f, struct rn_render_result *re
 // The outputs that colour, depth and opacity do not tell.
 static enum rn_status inspect(struct frame *f, struct rn_render_result *result,
                               struct rn_error *err) {
-    if (!(f->options->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES))) return RN_OK;
+    if (!(f->options.outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES))) return RN_OK;
     struct rn_inspection inspection = {.engine = f->engine,
                                        .field = f->field,
-                                       .options = f->options,
+                                       .options = &f->options,
                                        .lattice = &f->lattice,
                                        .costs = f->costs,
                                        .points = f->points,
@@ -380,7 +415,7 @@ static enum rn_status inspect(struct frame *f, struct rn_render_result *result,
 
 // What is kept of a deadline to make pictures of the lattice.
 static int64_t fill_ns(const struct frame *f) {
-    const struct rn_render_options *o = f->options;
+    const struct rn_render_options *o = &f->options;
     double pixels = (double)o->camera.width * o->camera.height;
     double pixel_ns = o->settings.subsample > 1 ? ENLARGE_NS : FILL_NS;
     return (int64_t)(pixels * pixel_ns / rn_pool_threads(f->engine->pool));
@@ -388,7 +423,7 @@ static int64_t fill_ns(const struct frame *f) {
 
 // What is asked for, as it is rendered.
 static void init_frame(struct frame *f) {
-    const struct rn_render_options *o = f->options;
+    const struct rn_render_options *o = &f->options;
     const struct rn_train_config *config = &f->field->config;
     int n = o->settings.subsample > 1 ? o->settings.subsample : 1;
     f->camera = rn_shot_camera(&o->shot, &o->camera, f->field);
@@ -416,7 +451,7 @@ static void init_frame(struct frame *f) {
 // Where pixels are several cones and may be interpolated, that is done between parts of pixels: a
 // part beside an edge is traced, the rest of its pixel need not be.
 static void init_lattice(struct frame *f) {
-    const struct rn_render_options *o = f->options;
+    const struct rn_render_options *o = &f->options;
     size_t fine = 4 * (size_t)f->camera.width * (size_t)f->camera.height;
     bool finer = f->tolerance > 0 && f->cones > 1 && !rn_optics_spreads(&o->shot.optics);
     f->points = finer && fine <= FINE_POINTS ? 2 : 1;
@@ -433,27 +468,41 @@ static void init_lattice(struct frame *f) {
 // Room for a pass on the device: half of the points at most, as all but one take every second.
 static enum rn_status make_room_there(struct frame *f, struct rn_error *err) {
     size_t most = ((size_t)f->lattice.width + 1) / 2 * (size_t)f->lattice.height;
+    struct trace *t = f->trace;
     if (!f->on_device || rn_lattice_passes(&f->lattice) == 1) return RN_OK;
-    f->listed = malloc(most * sizeof *f->listed);
-    f->traced = malloc(most * sizeof *f->traced);
-    if (f->listed && f->traced) return RN_OK;
+    most *= (size_t)f->together;
+    t->listed = malloc(most * sizeof *t->listed);
+    t->traced = malloc(most * sizeof *t->traced);
+    if (t->listed && t->traced) return RN_OK;
     return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
 }
 
-// Takes the lattice's pixels, their costs and the places that its cones are seen from.
-static enum rn_status make_room(struct frame *f, struct rn_error *err) {
-    const struct rn_render_options *o = f->options;
+// The lattices' pixels, one behind the other.
+static enum rn_status make_lattices(struct frame *f, struct rn_error *err) {
     int width = f->camera.width, height = f->camera.height;
-    size_t bytes = (size_t)width * (size_t)height * sizeof *f->lattice.pixels;
-    f->lattice.pixels = malloc(bytes);
-    if (!f->lattice.pixels)
+    size_t points = (size_t)width * (size_t)height, bytes = points * sizeof *f->lattice.pixels;
+    struct rn_pixel *pixels = malloc((size_t)f->together * bytes);
+    if (!pixels)
         return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "a %dx%d picture needs %zu MiB",
                             width, height, bytes >> 20);
+    for (int i = 0; i < f->together; i++) {
+        f[i].first_point = (uint32_t)((size_t)i * points);
+        f[i].lattice.pixels = pixels + (size_t)i * points;
+    }
+    return RN_OK;
+}
+
+// Takes the lattices' pixels, their costs and the places that cones are seen from.
+static enum rn_status make_room(struct frame *f, struct rn_error *err) {
+    const struct rn_render_options *o = &f->options;
+    int width = f->camera.width, height = f->camera.height;
+    enum rn_status status = make_lattices(f, err);
+    if (status != RN_OK) return status;
     if (o->outputs & RN_OUTPUT_COST) {
         f->costs = calloc((size_t)width * (size_t)height, sizeof *f->costs);
         if (!f->costs) return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
     }
-    if (!rn_shot_needs_viewpoints(&o->shot)) return RN_OK;
+    if (!rn_shot_needs_viewpoints(&o->shot)) return make_room_there(f, err);
     f->viewpoints =
         rn_viewpoints_create(&o->shot, &o->camera, f->field, width * f->cones, height * f->cones);
     return f->viewpoints ? RN_OK : rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "no memory");
@@ -477,52 +526,149 @@ static void develop_row(void *context, int index, int thread) {
         rn_develop(&f->development, p->alpha, f->march.colour.background, p->rgb);
 }
 
+// ---- one frame, or several together ---------------------------------------------------------
+
+_Static_assert(RN_RENDER_TOGETHER == RN_DEVICE_CAMERAS, "all go to the backend");
+
+static enum rn_status begin_frame(struct frame *f, struct rn_engine *engine, struct rn_field *field,
+                                  const struct rn_render_options *options, struct rn_error *err) {
+    *f = (struct frame){.engine = engine, .field = field, .options = *options, .together = 1};
+    enum rn_status status = check_options(field, &f->options, err);
+    if (status == RN_OK) init_frame(f);
+    return status;
+}
+
+// How many such frames a device traces in one call.
+static int count_together(const struct frame *f) {
+    double cones = (double)f->camera.width * f->camera.height * f->cones * f->cones;
+    bool one = f->late_ns || f->options.crop || rn_shot_needs_viewpoints(&f->options.shot);
+    return one ? 1 : (int)fmin(fmax(TOGETHER / cones, 1), RN_DEVICE_CAMERAS);
+}
+
+// Another frame beside `first`, which the device makes; false: it cannot be traced with it.
+static bool join(struct frame *f, const struct frame *first,
+                 const struct rn_render_options *options) {
+    const struct rn_render_options *o = &f->options;
+    const float *one = first->options.background, *other = o->background;
+    struct rn_error unused; // its own turn tells
+    if (begin_frame(f, first->engine, first->field, options, &unused) != RN_OK) return false;
+    int cones = f->cones, levels = levels_of(f);
+    if (!(f->on_device = is_for_device(f, levels)) || count_together(f) == 1) return false;
+    init_lattice(f);
+    choose_cells(f, levels);
+    return f->cells.words == first->cells.words && cones == first->cones * first->points &&
+           f->camera.width == first->camera.width && f->camera.height == first->camera.height &&
+           o->outputs == first->options.outputs && o->straight == first->options.straight &&
+           one[0] == other[0] && one[1] == other[1] && one[2] == other[2] &&
+           f->tolerance == first->tolerance && f->march.step == first->march.step &&
+           f->march.stop_depth == first->march.stop_depth;
+}
+
+// Pictures of what was traced.
+static enum rn_status finish_frame(struct frame *f, struct rn_render_result *result,
+                                   struct rn_error *err) {
+    if (f->development.on) rn_pool_run(f->engine->pool, f->lattice.height, develop_row, f);
+    enum rn_status status = fill_pictures(f, result, err);
+    if (status == RN_OK) status = inspect(f, result, err);
+    result->stats.cones = f->cones * f->points;
+    result->stats.tolerance = f->tolerance;
+    result->stats.rays = f->rays;
+    result->stats.samples = f->samples;
+    result->stats.interpolation =
+        (double)f->interpolation * 0x1p-32 / ((double)f->lattice.width * f->lattice.height);
+    result->stats.on_device = f->on_device;
+    return status;
+}
+
+// Traces them all, then makes their pictures in turn.
+static enum rn_status make_frames(struct frame *f, bool (*keep_going)(void *context), void *context,
+                                  struct rn_render_result *results, struct rn_error *err) {
+    struct poll poll = {.keep_going = keep_going, .context = context, .frame = f};
+    enum rn_status status = make_room(f, err);
+    if (status == RN_OK && !f->on_device && !f->viewpoints) {
+        rn_silhouette_init(f->engine, f->field, &f->camera, &f->silhouette);
+        f->nothing = pixel_of_nothing(f);
+    }
+    if (status == RN_OK) status = (f->late_ns ? render_timed : render_tiles)(f, &poll, err);
+    uint64_t samples = f->samples / (uint64_t)f->together;
+    for (int i = 0; i < f->together && status == RN_OK; i++) {
+        f[i].samples = samples;
+        status = finish_frame(&f[i], &results[i], err);
+    }
+    return status;
+}
+
+// As many frames as f->together says are ready; nothing of them is left.
+static enum rn_status run_frames(struct frame *f, int64_t begin_ns, bool (*keep_going)(void *),
+                                 void *context, struct rn_render_result *ret_results,
+                                 struct rn_error *err) {
+    struct rn_render_result results[RN_DEVICE_CAMERAS] = {0};
+    struct trace trace = {0};
+    f->trace = &trace;
+    for (int i = 1; i < f->together; i++)
+        f[i].trace = &trace;
+    enum rn_status status = make_frames(f, keep_going, context, results, err);
+    put_back(f);
+    free(f->lattice.pixels);
+    rn_viewpoints_destroy(&f->viewpoints);
+    rn_silhouette_finish(&f->silhouette);
+    free(f->costs);
+    free(trace.listed);
+    free(trace.traced);
+    double each_ms = (double)(rn_clock_ns() - begin_ns) * 1e-6 / f->together;
+    for (int i = 0; i < f->together; i++) {
+        results[i].stats.render_ms = each_ms;
+        if (status == RN_OK)
+            ret_results[i] = results[i];
+        else
+            rn_render_result_finish(&results[i]);
+    }
+    return status;
+}
+
+// A frame that is rendered by itself, or the first of some.
+static enum rn_status ready_first(struct frame *f, struct rn_engine *engine, struct rn_field *field,
+                                  const struct rn_render_options *options, struct rn_error *err) {
+    enum rn_status status = begin_frame(f, engine, field, options, err);
+    if (status == RN_OK) status = prepare(f, err);
+    if (status == RN_OK) init_lattice(f);
+    return status;
+}
+
 enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result, struct rn_error *err) {
-    int64_t begin = rn_clock_ns();
-    struct rn_render_options checked = *options;
-    enum rn_status status = check_options(field, &checked, err);
-    if (status != RN_OK) return status;
-    struct frame f = {.engine = engine, .field = field, .options = &checked};
-    init_frame(&f);
-    status = prepare(&f, err);
-    if (status != RN_OK) return status;
-    init_lattice(&f);
-    struct rn_render_result result = {0};
-    struct poll poll = {.keep_going = keep_going, .context = context, .frame = &f};
-    status = make_room(&f, err);
-    if (status == RN_OK) status = make_room_there(&f, err);
-    if (status == RN_OK && !f.on_device && !f.viewpoints) {
-        rn_silhouette_init(engine, field, &f.camera, &f.silhouette);
-        f.nothing = pixel_of_nothing(&f);
-    }
-    if (status == RN_OK) status = (f.late_ns ? render_timed : render_tiles)(&f, &poll, err);
-    if (status == RN_OK && f.development.on)
-        rn_pool_run(engine->pool, f.lattice.height, develop_row, &f);
-    if (status == RN_OK) status = fill_pictures(&f, &result, err);
-    if (status == RN_OK) status = inspect(&f, &result, err);
-    result.stats.cones = f.cones * f.points;
-    result.stats.tolerance = f.tolerance;
-    result.stats.rays = f.rays;
-    result.stats.samples = f.samples;
-    result.stats.interpolation =
-        (double)f.interpolation * 0x1p-32 / ((double)f.lattice.width * f.lattice.height);
-    result.stats.on_device = f.on_device;
-    put_back(&f);
-    free(f.lattice.pixels);
-    rn_viewpoints_destroy(&f.viewpoints);
-    rn_silhouette_finish(&f.silhouette);
-    free(f.costs);
-    free(f.listed);
-    free(f.traced);
-    if (status != RN_OK) {
-        rn_render_result_finish(&result);
-        return status;
-    }
-    result.stats.render_ms = (double)(rn_clock_ns() - begin) * 1e-6;
-    *ret_result = result;
-    return RN_OK;
+    int64_t begin_ns = rn_clock_ns();
+    struct frame f;
+    enum rn_status status = ready_first(&f, engine, field, options, err);
+    return status ? status : run_frames(&f, begin_ns, keep_going, context, ret_result, err);
+}
+
+int rn_render_fit(struct rn_engine *engine, struct rn_field *field,
+                  const struct rn_render_options *options) {
+    struct frame f;
+    struct rn_error unused;
+    if (!engine->backend || begin_frame(&f, engine, field, options, &unused)) return 1;
+    return count_together(&f);
+}
+
+enum rn_status rn_render_together(struct rn_engine *engine, struct rn_field *field,
+                                  const struct rn_render_options *options, int count,
+                                  bool (*keep_going)(void *context), void *context,
+                                  struct rn_render_result *ret_results, int *ret_count,
+                                  struct rn_error *err) {
+    int64_t begin_ns = rn_clock_ns();
+    struct frame *f = malloc((size_t)count * sizeof *f);
+    if (!f) return rn_error_set(err, RN_ERROR_NO_MEMORY, "camera", "out of memory");
+    enum rn_status status = ready_first(f, engine, field, options, err);
+    int most = status == RN_OK && f->on_device ? count_together(f) : 1;
+    while (f->together < count && f->together < most &&
+           join(&f[f->together], f, &options[f->together]))
+        f->together++;
+    if (status == RN_OK) status = run_frames(f, begin_ns, keep_going, context, ret_results, err);
+    if (status == RN_OK) *ret_count = f->together;
+    free(f);
+    return status;
 }
 
 int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera) {

@@ -76,6 +76,20 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                          const struct rn_render_options *options, bool (*keep_going)(void *context),
                          void *context, struct rn_render_result *ret_result,
                          struct rn_error *err) RN_MUST_CHECK;
+#define RN_RENDER_TOGETHER 32
+// How many pictures like this one the device makes in one call, at most RN_RENDER_TOGETHER: small
+// ones do not fill it. 1 without a device, and of those that are made one by one.
+int rn_render_fit(struct rn_engine *engine, struct rn_field *field,
+                  const struct rn_render_options *options);
+// Renders options[0], and those behind it that a device traces with it in one call, up to the first
+// that it cannot; *ret_count of the `count`, from 1 on. The same pixels as by rn_render, one after
+// the other. Each is told an equal share of the time and of the samples. `keep_going` and errors:
+// of rn_render of the first; none is left then.
+enum rn_status rn_render_together(struct rn_engine *engine, struct rn_field *field,
+                                  const struct rn_render_options *options, int count,
+                                  bool (*keep_going)(void *context), void *context,
+                                  struct rn_render_result *ret_results, int *ret_count,
+                                  struct rn_error *err) RN_MUST_CHECK;
 // Cones a side of a pixel that a full picture has.
 int rn_render_cones(const struct rn_field *field, const struct rn_camera *camera);
 void rn_render_result_finish(struct rn_render_result *result);
@@ -107,6 +121,9 @@ struct rn_rendered_view {
     void *context;
     struct rn_render_result result;
 };
+// How a view is rendered for that.
+struct rn_render_options rn_view_options(const struct rn_field *field, const struct rn_frame *frame,
+                                         const struct rn_render_options *given);
 enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
                               const struct rn_frame *frame, const struct rn_render_options *options,
                               bool (*keep_going)(void *context), void *context,

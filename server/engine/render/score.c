@@ -194,6 +194,15 @@ static enum rn_status score_view(struct view *view, struct rn_view_score *score,
     return status;
 }
 
+struct rn_render_options rn_view_options(const struct rn_field *field, const struct rn_frame *frame,
+                                         const struct rn_render_options *given) {
+    struct rn_render_options options = *given;
+    options.camera = rn_field_camera(field, frame);
+    options.outputs = RN_OUTPUT_RGB;
+    options.straight = rn_field_averages_straight(field, frame);
+    return options;
+}
+
 enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
                               const struct rn_frame *frame, const struct rn_render_options *given,
                               bool (*keep_going)(void *context), void *context,
@@ -201,12 +210,9 @@ enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
     struct rn_rendered_view view = {.engine = engine,
                                     .field = field,
                                     .frame = frame,
-                                    .options = *given,
+                                    .options = rn_view_options(field, frame, given),
                                     .keep_going = keep_going,
                                     .context = context};
-    view.options.camera = rn_field_camera(field, frame);
-    view.options.outputs = RN_OUTPUT_RGB;
-    view.options.straight = rn_field_averages_straight(field, frame);
     enum rn_status status =
         rn_render(engine, field, &view.options, keep_going, context, &view.result, err);
     if (status == RN_OK) *ret_view = view;

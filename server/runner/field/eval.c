@@ -2,10 +2,12 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/math/numbers.h"
+#include "server/runner/field/ahead.h"
 #include "server/runner/field/behind.h"
 #include "server/runner/field/budget.h"
 #include "server/runner/field/parts.h"
@@ -21,6 +23,7 @@ struct eval_work {
     struct rn_parts parts;       // scores, where they are kept
     const struct rn_frame **frames;
     struct rn_view_result *scores;
+    struct rn_ahead ahead;
     struct rn_behind behind;
 };
 
@@ -105,9 +108,31 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     struct eval_work *eval = (struct eval_work *)work;
+    rn_ahead_drop(&eval->ahead);
     rn_behind_drop(&eval->behind);
     return eval->request.folder ? rn_parts_begin(&eval->parts, work->step, work->total, err)
                                 : RN_OK;
+}
+
+// What views are compared by.
+struct views_to_come {
+    const struct eval_work *eval;
+    const struct rn_field *field;
+    struct rn_render_options options; // but for what is a view's own
+};
+
+// A view to come, which is rendered unless its score is there already.
+static bool describe_next(void *context, size_t unit, struct rn_render_options *ret_options) {
+    const struct views_to_come *views = context;
+    const struct eval_work *eval = views->eval;
+    char file[PATH_MAX];
+    struct rn_error unused;
+    if (eval->request.folder &&
+        (rn_parts_file(&eval->parts, unit, file, &unused) || access(file, F_OK) == 0))
+        return false;
+    *ret_options =
+        rn_view_options(views->field, eval->frames[eval->parts.first + unit], &views->options);
+    return true;
 }
 
 static enum rn_status render_view(struct eval_view *view, struct rn_field *field,
@@ -119,10 +144,15 @@ static enum rn_status render_view(struct eval_view *view, struct rn_field *field
     rn_settings_put(&rn_render_settings, eval->request.options.settings, &options.settings);
     memcpy(options.background, info->config.background, sizeof options.background);
     options.fit = rn_effects_fit(info->effects);
-    double lent_ms = rn_work_lent_ms(work);
-    enum rn_status status = rn_view_render(work->host->engine, field, frame, &options,
-                                           rn_work_keep_going, work, &view->rendered, err);
-    view->rendered.result.stats.render_ms -= rn_work_lent_ms(work) - lent_ms;
+    struct views_to_come others = {eval, field, options};
+    view->rendered = (struct rn_rendered_view){.engine = work->host->engine,
+                                               .field = field,
+                                               .frame = frame,
+                                               .options = rn_view_options(field, frame, &options),
+                                               .keep_going = rn_work_keep_going,
+                                               .context = work};
+    enum rn_status status = rn_ahead_render(&eval->ahead, work, field, &view->rendered.options,
+                                            describe_next, &others, &view->rendered.result, err);
     struct rn_depth_score depth = {.median = NAN};
     if (!status && frame->scale == 0)
         status = rn_evaluate_depth(work->host->engine, field, frame, &work->host->dataset->points,
@@ -341,6 +371,7 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
 
 static void release(struct rn_work *work) {
     struct eval_work *eval = (struct eval_work *)work;
+    rn_ahead_drop(&eval->ahead);
     rn_behind_drop(&eval->behind);
     free(eval->frames);
     free(eval->scores);

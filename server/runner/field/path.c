@@ -12,6 +12,7 @@
 #include "common/base/manifest.h"
 #include "common/math/numbers.h"
 #include "common/path/path.h"
+#include "server/runner/field/ahead.h"
 #include "server/runner/field/behind.h"
 #include "server/runner/field/budget.h"
 #include "server/runner/field/film.h"
@@ -29,6 +30,7 @@ struct path_work {
     double depth_scale;          // one for all frames
     struct rn_optics optics;     // in place of what the keys say
     struct rn_optics together;   // of all frames: what was on in any
+    struct rn_ahead ahead;
     struct rn_behind behind;
 };
 
@@ -176,8 +178,25 @@ static enum rn_status prepare(struct rn_work *work, struct rn_field *field, stru
 
 static enum rn_status begin(struct rn_work *work, struct rn_error *err) {
     struct path_work *path = (struct path_work *)work;
+    rn_ahead_drop(&path->ahead);
     rn_behind_drop(&path->behind);
     return rn_parts_begin(&path->parts, work->step, work->total, err);
+}
+
+// A frame to come, which is rendered unless it is there already.
+struct frames_to_come {
+    const struct path_work *path;
+    const struct rn_field_info *info;
+    struct frame_stand stand;
+};
+static bool describe_next(void *context, size_t unit, struct rn_render_options *ret_options) {
+    struct frames_to_come *frames = context;
+    char file[PATH_MAX];
+    struct rn_error unused;
+    if (rn_parts_file(&frames->path->parts, unit, file, &unused) || access(file, F_OK) == 0)
+        return false;
+    frame_options(frames->path, unit, frames->info->config.background, &frames->stand, ret_options);
+    return true;
 }
 
 static enum rn_status render_frame(struct path_frame *frame, struct rn_field *field,
@@ -186,6 +205,7 @@ static enum rn_status render_frame(struct path_frame *frame, struct rn_field *fi
     const struct rn_path_options *wanted = &path->request.options;
     struct rn_render_options options;
     struct frame_stand stand;
+    struct frames_to_come others = {.path = path, .info = info};
     frame->how = (struct rn_picture_file){.output = frame_output(path),
                                           .format = frame_format(path),
                                           .jpeg_quality =
@@ -194,7 +214,8 @@ static enum rn_status render_frame(struct path_frame *frame, struct rn_field *fi
                                           .depth_scale = path->depth_scale};
     frame_options(path, path->work.done, info->config.background, &stand, &options);
     path->together = rn_optics_over(&path->together, &options.shot.optics);
-    enum rn_status status = rn_work_render(&path->work, field, &options, &frame->result, err);
+    enum rn_status status = rn_ahead_render(&path->ahead, &path->work, field, &options,
+                                            describe_next, &others, &frame->result, err);
     if (status) return status;
     rn_work_rendered(&path->work, frame->result.stats.render_ms,
                      frame->result.stats.nonfinite_rays);
@@ -314,6 +335,7 @@ static enum rn_status result(struct rn_work *work, struct rn_field *field, char 
 
 static void release(struct rn_work *work) {
     struct path_work *path = (struct path_work *)work;
+    rn_ahead_drop(&path->ahead);
     rn_behind_drop(&path->behind);
     rn_message_finish(rn_wire_table(RN_WIRE_PATH), &path->request);
 }
