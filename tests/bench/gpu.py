@@ -324,6 +324,7 @@ STAGES = (
     Stage("25,000 steps", 300, lambda call: paper(call, 25000, ("36.94",)), True),
     Stage("step, deterministic", 90, lambda call: step(call, "deterministic=1")),
     Stage("step, sparse", 90, lambda call: step(call, "sparse=1")),
+    Stage("step, last layer on chip", 90, lambda call: step(call, "on_chip=1")),
     Stage("step of standard", 60, lambda call: step(call, "preset=standard")),
     Stage("memcheck", 150, lambda call: sanitizer(call, "memcheck")),
     Stage("racecheck", 150, lambda call: sanitizer(call, "racecheck")),

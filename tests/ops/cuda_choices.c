@@ -8,6 +8,7 @@
 #include "server/engine/cuda/layout.h"
 #include "server/engine/field/occupancy.h"
 #include "server/engine/field/voxels.h"
+#include "tests/ops/cuda_emulator/knobs.h"
 #include "tests/ops/cuda_scene.h"
 
 #define CELLS 16 // of the occupancy grid a side
@@ -182,7 +183,51 @@ START_TEST(uneven_planes_are_visited_whole) {
 }
 END_TEST
 
+// Gradients of the density network's last layer summed beside its backward, or behind it: planes
+// and the colour network are the same bytes after a step, the density network's gradients are other
+// sums of the same numbers, in any order of the threads the same. With less shared memory there is
+// one way. _i: that; the paper's networks.
+START_TEST(last_layers_are_summed_on_chip) {
+    struct rn_train_config config = _i == 2 ? test_config(RN_FOOTPRINT_MIP, 10, 16, 128, 2)
+                                            : test_config(RN_FOOTPRINT_POINT, 3, 8, 16, 1);
+    struct test_numbers plain, chip, other;
+    struct test_scene s[3];
+    config.step = _i == 2 ? 0.2 : 0.05;
+    if (_i == 2) config.field.base = 16;
+    if (_i == 1) rn_emulator_shared(20 << 10);
+    for (int k = 0; k < 3; k++) {
+        test_scene_init(&s[k], &config);
+        s[k].last_on_chip = k > 0;
+        rn_emulator_order(k == 2 ? 3 : 0, 3);
+        test_train(&s[k], 1, true, k == 0 ? &plain : k == 1 ? &chip : &other);
+    }
+    rn_emulator_order(0, 0);
+    rn_emulator_shared(227 << 10);
+    const struct rn_mlp_shape *base = &s[0].field->cpu.base_shape;
+    size_t planes = s[0].field->parameters.plane_count, n = s[0].field->parameters.count;
+    size_t last = planes + base->offset[base->layers - 1], apart = 0;
+    float most = 0;
+    ck_assert_uint_gt(chip.progress.samples_returned, 600);
+    ck_assert_mem_eq(chip.m, other.m, n * sizeof(float));
+    for (size_t i = 0; i < n; i++) {
+        bool is = i >= last && i < planes + base->count;
+        if (i < planes || i >= planes + base->count) ck_assert(plain.m[i] == chip.m[i]);
+        apart += plain.m[i] != chip.m[i];
+        most = is ? fmaxf(most, fabsf(plain.m[i])) : most;
+    }
+    for (size_t i = planes; i < planes + base->count; i++)
+        ck_assert_double_eq_tol(plain.m[i], chip.m[i], 1e-5 * (double)most);
+    ck_assert(most > 0 && (apart > 0) == (_i != 1));
+    for (int k = 0; k < 3; k++)
+        test_scene_finish(&s[k]);
+    test_numbers_finish(&plain);
+    test_numbers_finish(&chip);
+    test_numbers_finish(&other);
+}
+END_TEST
+
 void test_add_choices(Suite *suite) {
+    if (test_is_emulated()) test_add(suite, "chip", last_layers_are_summed_on_chip, 3);
     test_add(suite, "occupancy", occupancy_is_measured_as_on_the_cpu, 2);
     test_add(suite, "sparse", untouched_blocks_stay, 5);
     test_add(suite, "whole", uneven_planes_are_visited_whole, 1);

@@ -127,6 +127,11 @@ mutate many gradient.cuh "gradient: a tile is read before it is there" \
     's/rn_copy_wait<RN_GRADIENT_STAGES - 2>/rn_copy_wait<RN_GRADIENT_STAGES - 1>/'
 mutate many gradient.cuh "gradient: no barrier before a tile is read" 's|^        __syncthreads(); // this tile.*||'
 mutate many gradient.cuh "gradient: the tile under way is overwritten" 's/int ahead = slot > 0 ? .*/int ahead = slot;/'
+mutate chip network.cuh "on chip: no barrier before other warps' tiles are read" 's|^    __syncthreads(); // all are there||'
+mutate chip network.cuh "on chip: tiles are overwritten that others still read" 's|^    __syncthreads(); // all have read.*||'
+mutate chip network.cuh "on chip: the last warp's tile left out" 's/w < warps \&\& warp < WT/w + 1 < warps \&\& warp < WT/'
+mutate chip backward.cuh "on chip: all blocks' sums in one place" 's/sums + (size_t)blockIdx.x \* rn_cuda/sums + rn_cuda/'
+mutate chip layout.h "on chip: one block's sums alone are added" 's/chunks.first\[n->hidden\] + on_chip;/chunks.first[n->hidden] + 1;/'
 mutate gradients gradient.cuh "gradient: every part is a layer's first" 's/int chunk = (int)blockIdx.x - chunks.first\[layer\]/int chunk = 0/'
 mutate many gradient.cuh "gradient: groups that are not committed" 's/^    rn_copy_commit();//'
 mutate gradients gradient.cuh "gradient: chunks that overlap" \

@@ -27,6 +27,7 @@ struct test_scene {
     int rays;                  // of a training step, at most MOST_RAYS; RAYS at first
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
+    bool last_on_chip;         // likewise
     float gradient_scale;      // that training begins with; 0, the backend's own, at first
     const float *m, *v;        // moments that training begins with; NULL at first
     const uint32_t *seen;      // of a place: what cells showed before; NULL at first

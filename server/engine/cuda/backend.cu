@@ -16,7 +16,9 @@
         WORLD, KT, WT, RN_IN(rn_forward_kernel, WORLD, KT, WT, true),                              \
             RN_IN(rn_forward_kernel, WORLD, KT, WT, false), RN_BOTH(rn_shade_kernel, WT, true),    \
             RN_BOTH(rn_shade_kernel, WT, false), RN_BOTH(rn_head_backward_kernel, WT),             \
-            RN_BOTH(rn_base_backward_kernel, KT, WT), __VA_ARGS__                                  \
+            {rn_base_backward_kernel<KT, WT, false, false>,                                        \
+             rn_base_backward_kernel<KT, WT, true, false>},                                        \
+            rn_base_backward_kernel<KT, WT, true, true>, __VA_ARGS__                               \
     }
 // A ball's cells are measured, those of a place told by what they showed.
 #define RN_BALL(KT, WT, WORLD) RN_SHAPE(KT, WT, WORLD, RN_IN(rn_measure_kernel, WORLD, KT, WT))
@@ -423,6 +425,7 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
         return rn_error_set(err, RN_ERROR_CONFLICT, "cuda", "this field is being trained already");
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
+    f->last_on_chip = training->last_on_chip;
     describe_training(f, pixels, training);
     rn_train_lay_out(f, pixels, &arena);
     enum rn_status status = take(f->device, arena.used, &f->train_memory, err);

@@ -6,6 +6,7 @@
 #define RN_ENGINE_CUDA_BACKWARD_CUH
 
 #include "server/engine/cuda/forward.cuh"
+#include "server/engine/cuda/gradient.cuh"
 
 // Tiles of samples that are backpropagated; warps take them in a fixed interleaving.
 RN_DEVICE uint32_t rn_first_tile() {
@@ -137,10 +138,24 @@ RN_DEVICE bool rn_store_feature_grad(const struct rn_cuda_batch *b, uint32_t til
     return bad;
 }
 
-template <int KT, int WT, bool SHARED>
+// The sums of the block, as one part of the last layer's (gradient.cuh).
+template <int WT>
+RN_DEVICE void rn_store_on_chip(const struct rn_cuda_network *n, const struct rn_cuda_on_chip *c,
+                                float4 *sums) {
+    int warp = (int)threadIdx.x / RN_LANES;
+    float4 *part = sums + (size_t)blockIdx.x * rn_cuda_gradient_count(n) / 4 +
+                   ((size_t)n->packed[n->hidden] + (size_t)warp * RN_LANES) * 2;
+    for (int h = 0; h < 2 && warp < WT; h++)
+        part[h * RN_LANES + RN_LANE] =
+            float4{c->sums[h][0], c->sums[h][1], c->sums[h][2], c->sums[h][3]};
+}
+
+// ON_CHIP: the last layer's weights' gradient is summed here, into `sums`; a block's warps take as
+// many tiles each then, some of them without samples.
+template <int KT, int WT, bool SHARED, bool ON_CHIP>
 __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     rn_base_backward_kernel(const __grid_constant__ rn_cuda_scene scene,
-                            const __grid_constant__ rn_cuda_batch batch, int staged) {
+                            const __grid_constant__ rn_cuda_batch batch, int staged, float4 *sums) {
     uint4 *room = (uint4 *)rn_shared_memory();
     const struct rn_cuda_network *n = &scene.base;
     const uint4 *forward = rn_stage(SHARED || staged > 0, room, scene.forward, n->packed_count);
@@ -148,9 +163,11 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
         rn_stage(SHARED || staged > 1, room + n->packed_count, scene.backward, n->packed_count);
     rn_stage_finish();
     struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
-    uint32_t count = batch.status->returned;
+    struct rn_cuda_on_chip chip = {room + 2 * n->packed_count, {{0}}};
+    uint32_t count = batch.status->returned, tiles = rn_cuda_tiles(count);
+    uint32_t ahead = ON_CHIP ? threadIdx.x / RN_LANES : 0; // of the block's first
     bool bad = false;
-    for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles(count); tile += rn_tile_stride()) {
+    for (uint32_t tile = rn_first_tile(); tile - ahead < tiles; tile += rn_tile_stride()) {
         uint32_t samples[2], in[KT][4] = {{0}}, grad[1][4] = {{0}}, x[WT][4];
         rn_returned_rows(&batch, count, tile, samples);
         for (int i = 0; i < 2; i++) {
@@ -162,9 +179,13 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
                             in[k]);
             rn_load_row(batch.geometry_grad, samples[i], i, grad[0]);
         }
-        bad |= rn_backward<KT, WT>(n, forward, backward, &scratch, tile, in, grad, x);
-        bad |= rn_store_feature_grad<KT, WT>(&batch, tile, backward, x);
+        size_t place = ON_CHIP && tile >= tiles ? RN_NO_PLACE : tile;
+        bad |=
+            rn_backward<KT, WT, ON_CHIP>(n, forward, backward, &scratch, place, in, grad, x, &chip);
+        if (!ON_CHIP || tile < tiles)
+            bad |= rn_store_feature_grad<KT, WT>(&batch, tile, backward, x);
     }
+    if (ON_CHIP) rn_store_on_chip<WT>(n, &chip, sums);
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;
 }
 

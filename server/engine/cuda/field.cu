@@ -412,16 +412,17 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     return mark(f, "order");
 }
 
+// `on_chip`: parts of the last layer that lie in `sums` already.
 static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cuda_network *n,
-                                  float4 *sums) {
+                                  int on_chip, float4 *sums) {
     struct rn_cuda_network network = *n;
     bool of_rays = f->scene.per_ray && n == &f->scene.head;
     size_t bytes = RN_GRADIENT_STAGES * rn_cuda_gradient_stage(n) * sizeof(uint4);
     unsigned blocks;
     RN_TRY(fill(f->device, rn_gradient_kernel, 256, bytes, &blocks));
-    struct rn_cuda_chunks chunks = rn_cuda_chunks_of(n, (int)blocks);
-    RN_TRY(RN_LAUNCH(rn_gradient_kernel, (unsigned)chunks.first[n->hidden + 1], 256, bytes,
-                     f->device->stream, network, chunks, f->batch.status, f->batch.scratch,
+    struct rn_cuda_chunks chunks = rn_cuda_chunks_of(n, (int)blocks, on_chip);
+    RN_TRY(RN_LAUNCH(rn_gradient_kernel, (unsigned)chunks.first[n->hidden + (on_chip == 0)], 256,
+                     bytes, f->device->stream, network, chunks, f->batch.status, f->batch.scratch,
                      f->batch.tile_capacity, of_rays, sums));
     return RN_LAUNCH(rn_reduce_kernel, RN_BLOCKS(rn_cuda_gradient_count(n)), 256, 0,
                      f->device->stream, network, chunks, (float *)sums, f->batch.status);
@@ -441,21 +442,33 @@ static cudaError_t queue_head_backward(struct rn_device_field *f) {
         RN_TRY(mark(f, "head backward"));
     }
     if (!s->per_ray || s->view_dependence) // else it takes no part
-        RN_TRY(queue_gradient(f, &s->head, f->optimiser.head_sums));
+        RN_TRY(queue_gradient(f, &s->head, 0, f->optimiser.head_sums));
     return mark(f, "head gradient");
 }
 
-static cudaError_t queue_backward(struct rn_device_field *f) {
-    const struct rn_cuda_scene *s = &f->scene;
-    cudaStream_t stream = f->device->stream;
-    struct rn_staging base = rn_staging_for(f->device, s->base.packed_count, s->base.packed_count);
-    RN_TRY(queue_head_backward(f));
+// With the last layer's gradient summed on the chip where that is asked for and there is room in
+// shared memory; *ret_on_chip is how many blocks did.
+static cudaError_t queue_base_backward(struct rn_device_field *f, int *ret_on_chip) {
+    const struct rn_cuda_network *n = &f->scene.base;
+    struct rn_staging base = rn_staging_for(f->device, n->packed_count, n->packed_count);
+    size_t all = base.bytes + rn_cuda_on_chip_fragments(n, base.threads) * sizeof(uint4);
+    bool on_chip = f->last_on_chip && base.all && all <= f->device->shared_bytes;
+    size_t bytes = on_chip ? all : base.bytes;
+    auto kernel = on_chip ? f->shape->base_on_chip : f->shape->base_backward[base.all];
     unsigned blocks;
-    RN_TRY(fill(f->device, f->shape->base_backward[base.all], base.threads, base.bytes, &blocks));
-    RN_TRY(RN_LAUNCH(f->shape->base_backward[base.all], blocks, base.threads, base.bytes, stream,
-                     f->scene, f->batch, base.networks));
-    RN_TRY(mark(f, "base backward"));
-    RN_TRY(queue_gradient(f, &s->base, f->optimiser.base_sums));
+    RN_TRY(fill(f->device, kernel, base.threads, bytes, &blocks));
+    if (on_chip && blocks > RN_CHUNKS) blocks = RN_CHUNKS;
+    *ret_on_chip = on_chip ? (int)blocks : 0;
+    RN_TRY(RN_LAUNCH(kernel, blocks, base.threads, bytes, f->device->stream, f->scene, f->batch,
+                     base.networks, f->optimiser.base_sums));
+    return mark(f, "base backward");
+}
+
+static cudaError_t queue_backward(struct rn_device_field *f) {
+    int on_chip;
+    RN_TRY(queue_head_backward(f));
+    RN_TRY(queue_base_backward(f, &on_chip));
+    RN_TRY(queue_gradient(f, &f->scene.base, on_chip, f->optimiser.base_sums));
     return mark(f, "base gradient");
 }
 

@@ -32,7 +32,8 @@ struct rn_kernel_shape {
     void (*shade_train[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*shade_render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*head_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
-    void (*base_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*base_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int, float4 *);
+    void (*base_on_chip)(struct rn_cuda_scene, struct rn_cuda_batch, int, float4 *);
     void (*measure[2])(struct rn_cuda_scene, struct rn_cuda_measurement, int); // of a ball
 };
 
@@ -62,7 +63,7 @@ struct rn_device_field {
     void *memory, *train_memory;
     size_t memory_bytes, train_bytes;
     // training
-    bool deterministic;
+    bool deterministic, last_on_chip;
     struct rn_cuda_batch batch;
     struct rn_cuda_optimiser optimiser;
     struct rn_cuda_source source;

@@ -138,17 +138,20 @@ static inline void rn_cuda_network_init(struct rn_cuda_network *n, const struct 
 struct rn_cuda_chunks {
     int first[RN_MLP_MAX_LAYERS + 1];
 };
-// Of at most `blocks`: as many as the layers' tiles have bytes.
-static inline struct rn_cuda_chunks rn_cuda_chunks_of(const struct rn_cuda_network *n, int blocks) {
+// Of at most `blocks`: as many as the layers' tiles have bytes. `on_chip` > 0: so many blocks have
+// summed the last layer already, which takes none of these.
+static inline struct rn_cuda_chunks rn_cuda_chunks_of(const struct rn_cuda_network *n, int blocks,
+                                                      int on_chip) {
     struct rn_cuda_chunks chunks = {{0}};
-    int all = 0;
-    for (int l = 0; l <= n->hidden; l++)
+    int all = 0, layers = n->hidden + (on_chip == 0);
+    for (int l = 0; l < layers; l++)
         all += rn_cuda_layer_k16(n, l) + rn_cuda_layer_n16(n, l);
-    for (int l = 0; l <= n->hidden; l++) {
+    for (int l = 0; l < layers; l++) {
         int own = blocks * (rn_cuda_layer_k16(n, l) + rn_cuda_layer_n16(n, l)) / all;
         own = own < 1 ? 1 : own < RN_CHUNKS ? own : RN_CHUNKS;
         chunks.first[l + 1] = chunks.first[l] + own;
     }
+    if (on_chip) chunks.first[n->hidden + 1] = chunks.first[n->hidden] + on_chip;
     return chunks;
 }
 

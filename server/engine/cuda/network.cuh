@@ -136,34 +136,71 @@ RN_DEVICE uint4 *rn_out_of(const struct rn_cuda_scratch *s, int layer) {
     return s->block + s->stride * (size_t)(s->inputs16 + 2 * layer * s->width16);
 }
 
+// Where a block sums the last layer's weights' gradient itself: its warps' activations before that
+// layer and gradients behind it in shared memory, [warp][WT + 1][lane], transposed; warp m of the
+// first WT has the sums of activations 16 m and on.
+struct rn_cuda_on_chip {
+    uint4 *exchange;
+    float sums[2][4];
+};
+RN_HD size_t rn_cuda_on_chip_fragments(const struct rn_cuda_network *n, int threads) {
+    return (size_t)threads * (size_t)(n->width16 + 1);
+}
+
+// A tile of each of the block's warps, all of which come here as often.
+template <int WT>
+RN_DEVICE void rn_sum_on_chip(struct rn_cuda_on_chip *c, const uint32_t (&x)[WT][4],
+                              const uint32_t (&grad)[1][4]) {
+    int warp = (int)threadIdx.x / RN_LANES, warps = (int)blockDim.x / RN_LANES;
+    uint4 *own = c->exchange + warp * (WT + 1) * RN_LANES;
+    __syncthreads(); // all have read the tiles before
+    rn_keep_transposed<WT>(x, own);
+    rn_keep_transposed<1>(grad, own + WT * RN_LANES);
+    __syncthreads(); // all are there
+    for (int w = 0; w < warps && warp < WT; w++) {
+        const uint4 *tile = c->exchange + w * (WT + 1) * RN_LANES + RN_LANE;
+        uint4 t = tile[warp * RN_LANES], g = tile[WT * RN_LANES];
+        uint32_t of_x[4] = {t.x, t.z, t.y, t.w};
+        rn_mma(c->sums[0], of_x, g.x, g.y);
+        rn_mma(c->sums[1], of_x, g.z, g.w);
+    }
+}
+
 // Backward of 16 rows through all layers but the first: the forward again, keeping activations and
 // the signs, then dL/d(outputs) `grad` back to dL/d(what leaves the first layer), in `x`, masked.
-// True on overflow.
-template <int KT, int WT>
+// What the weights' gradients need goes to `place` of the scratch unless that is RN_NO_PLACE; of
+// the last layer with ON_CHIP to the sums at `c` instead. True on overflow.
+#define RN_NO_PLACE SIZE_MAX
+template <int KT, int WT, bool ON_CHIP = false>
 RN_DEVICE bool rn_backward(const struct rn_cuda_network *n, const uint4 *forward,
                            const uint4 *backward, const struct rn_cuda_scratch *s, size_t place,
                            const uint32_t (&a)[KT][4], const uint32_t (&grad)[1][4],
-                           uint32_t (&x)[WT][4]) {
+                           uint32_t (&x)[WT][4], struct rn_cuda_on_chip *c = nullptr) {
+    bool keeps = !ON_CHIP || place != RN_NO_PLACE;
     uint32_t y[WT][4], mask[(WT + 3) / 4], masks[RN_MLP_MAX_LAYERS][(WT + 3) / 4];
-    rn_keep_transposed<KT>(a, rn_into(s, 0) + place * KT * RN_LANES);
+    if (keeps) rn_keep_transposed<KT>(a, rn_into(s, 0) + place * KT * RN_LANES);
     rn_layer<KT, WT, RN_LAYER_RELU>(a, forward, x, mask);
     for (int l = 1;; l++) {
         for (int i = 0; i < (WT + 3) / 4; i++)
             masks[l - 1][i] = mask[i];
-        rn_keep_transposed<WT>(x, rn_into(s, l) + place * WT * RN_LANES);
+        if (keeps && !(ON_CHIP && l == n->hidden))
+            rn_keep_transposed<WT>(x, rn_into(s, l) + place * WT * RN_LANES);
         if (l == n->hidden) break;
         rn_layer<WT, WT, RN_LAYER_RELU>(x, forward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
     }
-    rn_keep_transposed<1>(grad, rn_out_of(s, n->hidden) + place * RN_LANES);
+    if (ON_CHIP)
+        rn_sum_on_chip<WT>(c, x, grad);
+    else
+        rn_keep_transposed<1>(grad, rn_out_of(s, n->hidden) + place * RN_LANES);
     bool bad = rn_layer<1, WT, RN_LAYER_MASKED>(grad, backward + n->packed[n->hidden], x, mask);
-    rn_keep_transposed<WT>(x, rn_out_of(s, n->hidden - 1) + place * WT * RN_LANES);
+    if (keeps) rn_keep_transposed<WT>(x, rn_out_of(s, n->hidden - 1) + place * WT * RN_LANES);
     for (int l = n->hidden - 1; l > 0; l--) {
         for (int i = 0; i < (WT + 3) / 4; i++)
             mask[i] = masks[l - 1][i];
         bad |= rn_layer<WT, WT, RN_LAYER_MASKED>(x, backward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
-        rn_keep_transposed<WT>(x, rn_out_of(s, l - 1) + place * WT * RN_LANES);
+        if (keeps) rn_keep_transposed<WT>(x, rn_out_of(s, l - 1) + place * WT * RN_LANES);
     }
     return bad;
 }

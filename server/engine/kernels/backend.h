@@ -11,7 +11,7 @@
 #include "server/engine/kernels/draw.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 13
+#define RN_BACKEND_VERSION 14
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller
@@ -92,6 +92,7 @@ static inline size_t rn_device_used_words(uint64_t pixels) {
 // State of a training that is not in the parameters.
 struct rn_device_training {
     bool deterministic; // the same bytes every time, at a price (cuda/README.md)
+    bool last_on_chip; // likewise: where the last layer's gradient of the density network is summed
     int next_rays;
     int64_t step, updates;
     float gradient_scale; // a power of two; 0: as at the start

@@ -24,6 +24,9 @@ struct rn_engine_options {
     int threads;                // 0 = all cores this process may use
     size_t device_memory_bytes; // at most of a GPU's memory; 0 = what is free (rn_engine_share)
     bool deterministic;         // a GPU trains the same bytes every time, at a price
+    // A GPU sums the gradient of the density network's last layer beside its backward: another
+    // order of the sums. Which is quicker is not known; tests/bench/cuda times both.
+    bool last_on_chip;
 };
 struct rn_device_info {
     char device[16];     // "cpu", "cuda:0"

@@ -34,6 +34,7 @@ struct rn_engine {
     char device_kernels[32];    // "sm_90"
     size_t device_memory_bytes; // that fields may take of it; 0 = what is free
     bool deterministic;         // what a device trains
+    bool last_on_chip;          // likewise
     bool device_optional;       // what the device cannot do, the CPU does
 };
 
