@@ -71,7 +71,7 @@ def test_the_whole_command(kit, tmp_path):
                             env=environment)
     known = json.loads((tmp_path / "out" / "results.json").read_text())
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
-    assert len(known) == 15 and {stage["state"] for stage in known.values()} == {"done"}, known
+    assert len(known) == 16 and {stage["state"] for stage in known.values()} == {"done"}, known
     assert known["machine"] == begun["machine"]
     assert known["machine"]["found"]["gpu"]["clocks.max.sm"] == "1980 MHz"
     assert known["data"]["found"]["views"] == {"train": 8, "val": 2, "test": 2}
