@@ -88,7 +88,7 @@ def test_the_whole_command(kit, tmp_path):
                            check=False, env=environment)
     elsewhere = json.loads((tmp_path / "out" / "results.json").read_text())
     assert third.returncode == 0, third.stdout + third.stderr
-    assert len(elsewhere) == 15 and elsewhere["step"] == known["step"], elsewhere
+    assert len(elsewhere) == 16 and elsewhere["step"] == known["step"], elsewhere
     assert [line.split(":")[0] for line in third.stdout.splitlines() if not line.startswith("|")] == ["machine", "data", ""]
 
 
