@@ -454,13 +454,13 @@ static cudaError_t queue_base_backward(struct rn_device_field *f, int *ret_on_ch
     size_t all = base.bytes + rn_cuda_on_chip_fragments(n, base.threads) * sizeof(uint4);
     bool on_chip = f->last_on_chip && base.all && all <= f->device->shared_bytes;
     size_t bytes = on_chip ? all : base.bytes;
-    auto kernel = on_chip ? f->shape->base_on_chip : f->shape->base_backward[base.all];
+    auto base_backward = on_chip ? f->shape->base_on_chip : f->shape->base_backward[base.all];
     unsigned blocks;
-    RN_TRY(fill(f->device, kernel, base.threads, bytes, &blocks));
+    RN_TRY(fill(f->device, base_backward, base.threads, bytes, &blocks));
     if (on_chip && blocks > RN_CHUNKS) blocks = RN_CHUNKS;
     *ret_on_chip = on_chip ? (int)blocks : 0;
-    RN_TRY(RN_LAUNCH(kernel, blocks, base.threads, bytes, f->device->stream, f->scene, f->batch,
-                     base.networks, f->optimiser.base_sums));
+    RN_TRY(RN_LAUNCH(base_backward, blocks, base.threads, bytes, f->device->stream, f->scene,
+                     f->batch, base.networks, f->optimiser.base_sums));
     return mark(f, "base backward");
 }
 
