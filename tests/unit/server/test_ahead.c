@@ -145,6 +145,9 @@ START_TEST(what_is_there_is_not_made) {
     work.done = 5; // somebody else made 2 and 4
     do_unit();
     ck_assert_int_eq(now.made[5], 1);
+    for (int i = 6; i <= 14; i += 2)
+        ck_assert_int_eq(now.made[i], 1); // it is kept already
+    ck_assert_int_eq(now.made[16], 1);
     ck_assert_uint_le(ahead.count, 5 + 8);
     for (size_t i = 0; i < ahead.count; i++)
         ck_assert_uint_gt(ahead.pictures[i].unit, 5);
