@@ -35,8 +35,8 @@ enum rn_status rn_preset(const char *name, bool multi_scale, struct rn_train_con
 // network is 0.1 dB behind after 15 s (two seeds) and 0.25 dB ahead after 60; networks twice as
 // wide are level after 60 s and 0.4 dB ahead after 300. In 10,000 steps of these, half the
 // smoothing is 0.15 dB ahead, the networks' decay 0.1, and splitting pixels 0.6; frames then take
-// three times as long or more. After 60 s decay is level on lego and 0.15 dB ahead on a captured
-// cup; it was not tried in 15 s.
+// three times as long or more. After 119 CPU seconds decay is level on lego and 0.15 dB
+// ahead on a captured cup; it was not tried in 15 s.
 #define PLATEAU_TIMES 10 // the preset's time, for a training that ends at its plateau
 #define SHORT_RUN 40     // seconds
 static const struct {

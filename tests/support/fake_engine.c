@@ -587,9 +587,10 @@ enum rn_status rn_render(struct rn_engine *engine, struct rn_field *field,
                                            &result.normal,   &result.cost,  &result.level,
                                            &result.footprint};
     for (unsigned i = 0; i < sizeof pictures / sizeof *pictures && !status; i++) // by RN_OUTPUT_*
-        if (options->outputs >> i & 1)
-            status = fill(pictures[i], field, options, i % 3 == 0 && i < 6 ? 3 : 1, keep_going,
-                          context, err);
+        if (options->outputs >> i & 1) {
+            bool three = pictures[i] == &result.rgb || pictures[i] == &result.normal; // channels
+            status = fill(pictures[i], field, options, three ? 3 : 1, keep_going, context, err);
+        }
     if (status) {
         rn_render_result_finish(&result);
         return status;

@@ -2,7 +2,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "common/base/file.h"
 #include "common/base/log.h"
@@ -125,11 +124,7 @@ struct views_to_come {
 static bool describe_next(void *context, size_t unit, struct rn_render_options *ret_options) {
     const struct views_to_come *views = context;
     const struct eval_work *eval = views->eval;
-    char file[PATH_MAX];
-    struct rn_error unused;
-    if (eval->request.folder &&
-        (rn_parts_file(&eval->parts, unit, file, &unused) || access(file, F_OK) == 0))
-        return false;
+    if (eval->request.folder && rn_parts_has(&eval->parts, unit)) return false;
     *ret_options =
         rn_view_options(views->field, eval->frames[eval->parts.first + unit], &views->options);
     return true;

@@ -61,6 +61,12 @@ enum rn_status rn_parts_begin(const struct rn_parts *parts, int64_t step, size_t
     return status ? status : rn_file_write_atomic(file, text, (size_t)length, err);
 }
 
+bool rn_parts_has(const struct rn_parts *parts, size_t unit) {
+    char file[PATH_MAX];
+    struct rn_error unused;
+    return rn_parts_file(parts, unit, file, &unused) != RN_OK || access(file, F_OK) == 0;
+}
+
 enum rn_status rn_parts_write(const struct rn_parts *parts, const char *path, const void *bytes,
                               size_t size, struct rn_error *err) {
     char own[PATH_MAX + 64];

@@ -4,6 +4,7 @@
 #define RN_SERVER_RUNNER_FIELD_PARTS_H
 
 #include <limits.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -25,6 +26,8 @@ enum rn_status rn_parts_begin(const struct rn_parts *parts, int64_t step, size_t
                               struct rn_error *err) RN_MUST_CHECK;
 enum rn_status rn_parts_file(const struct rn_parts *parts, size_t unit, char ret_path[PATH_MAX],
                              struct rn_error *err) RN_MUST_CHECK;
+// Whether the unit's file is there, or cannot be named.
+bool rn_parts_has(const struct rn_parts *parts, size_t unit);
 // One that helps may make a unit at the same moment as the one that has the job: the same bytes,
 // under a name of its own until it is whole.
 enum rn_status rn_parts_write(const struct rn_parts *parts, const char *path, const void *bytes,

@@ -191,10 +191,7 @@ struct frames_to_come {
 };
 static bool describe_next(void *context, size_t unit, struct rn_render_options *ret_options) {
     struct frames_to_come *frames = context;
-    char file[PATH_MAX];
-    struct rn_error unused;
-    if (rn_parts_file(&frames->path->parts, unit, file, &unused) || access(file, F_OK) == 0)
-        return false;
+    if (rn_parts_has(&frames->path->parts, unit)) return false;
     frame_options(frames->path, unit, frames->info->config.background, &frames->stand, ret_options);
     return true;
 }
