@@ -94,6 +94,13 @@ def test_it_is_the_same_elsewhere(ball, elsewhere, exported, tmp_path):
     assert elsewhere.json("show", "again")["parameters_sha256"] == made["parameters_sha256"]
 
 
+def test_it_is_taken_in_without_a_sandbox(build, ball, exported, tmp_path):
+    with Daemon(build, tmp_path / "daemon", "--sandbox", 0) as daemon:
+        client = Client(build / "client" / "ripnerf", tmp_path, daemon.url)
+        made = client.json("import", exported[0], "--name", "light")
+    assert made["viewing"]["parameters_sha256"] == ball.json("show", "ball")["parameters_sha256"]
+
+
 def test_a_curve_without_photographs(ball, elsewhere, exported, tmp_path):
     """Against the full pictures from around: of the scene, not of what lies beside it."""
     elsewhere.run("import", exported[0], "--name", "measured")

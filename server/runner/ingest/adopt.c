@@ -29,7 +29,8 @@ static enum rn_status copy(const struct rn_wire_ingest *order, int64_t step, int
     char path[PATH_MAX];
     uint8_t *bytes = NULL;
     size_t size = 0;
-    enum rn_status status = rn_checkpoints_prepare(order->target, err);
+    enum rn_status status = rn_mkdir(order->target, 0777, err);
+    if (!status) status = rn_checkpoints_prepare(order->target, err);
     if (!status) status = rn_checkpoint_path(order->target, step, path, err);
     if (!status) status = rn_file_read(order->source, (size_t)order->max_bytes, &bytes, &size, err);
     if (!status) status = rn_file_write_atomic(path, bytes, size, err);
