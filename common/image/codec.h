@@ -49,6 +49,14 @@ enum rn_status rn_image_check_size(int width, int height, const struct rn_image_
 enum rn_status rn_heif_check_parts(const uint8_t *bytes, size_t size_bytes, const char *where,
                                    struct rn_error *err) RN_MUST_CHECK;
 
+// Whether all pictures of a whole HEIC or AVIF file are within the limits, and none of a grid, an
+// overlay or coded by HEVC larger than is said of it: as their own data have it, for which libheif
+// 1.15 and its decoder make room, and beyond which they write. RN_ERROR_INVALID, RN_ERROR_LIMIT,
+// RN_ERROR_NO_MEMORY. What else is wrong with the file, and pictures of AV1, are not looked at.
+enum rn_status rn_heif_check_sizes(const uint8_t *bytes, size_t size_bytes,
+                                   const struct rn_image_limits *limits, const char *where,
+                                   struct rn_error *err) RN_MUST_CHECK;
+
 // What an EXIF block, which begins with the TIFF header, says of `orientation`, `camera_key` and
 // `located_at`; 1, 0 and not located where it says nothing or is damaged.
 void rn_exif_read(const uint8_t *bytes, size_t size_bytes, struct rn_image_info *info);

@@ -156,7 +156,8 @@ static enum rn_status decode_heif(const uint8_t *bytes, size_t size_bytes, const
     struct heif_image_handle *handle = NULL;
     enum rn_status status = open_picture(bytes, size_bytes, where, &context, &handle, err);
     if (status) return status;
-    status = decode_handle(handle, where, limits, ret_image, err);
+    status = rn_heif_check_sizes(bytes, size_bytes, limits, where, err);
+    if (!status) status = decode_handle(handle, where, limits, ret_image, err);
     close_picture(context, handle);
     return status;
 }

@@ -1,18 +1,12 @@
 // What the pictures of a HEIC or AVIF file are made of, looked at before a library follows it.
 #include <stdlib.h>
 
+#include "common/image/boxes.h"
 #include "common/image/codec.h"
 
 #define MAX_DEPTH 8     // of parts within parts; a phone's photograph has 2
 #define MAX_PARTS 65536 // of one picture: the rows and columns of a grid are a byte each
 #define OPEN UINT32_MAX
-
-#define TYPE(a, b, c, d) ((uint32_t)(a) << 24 | (uint32_t)(b) << 16 | (uint32_t)(c) << 8 | (d))
-
-// Bytes that are left to be read.
-struct span {
-    const uint8_t *at, *end;
-};
 
 // Item `of` cannot be decoded without item `is`. In the first of those of an item: how many items
 // are decoded for it (0: not known yet; OPEN: being counted) and how deep they lie.
@@ -30,40 +24,6 @@ struct parts {
 
 enum verdict { SOUND, NO_MEMORY, OF_ITSELF, TOO_DEEP, TOO_MANY };
 
-// Big-endian, of 1 to 8 bytes; false beyond the end.
-static bool take(struct span *from, int size, uint64_t *ret_value) {
-    uint64_t value = 0;
-    if (from->end - from->at < size) return false;
-    for (int i = 0; i < size; i++)
-        value = value << 8 | *from->at++;
-    *ret_value = value;
-    return true;
-}
-
-// Without a box's size where the caller has no use for it: that of a reference is not heeded.
-static bool take_header(struct span *from, uint64_t *ret_size, uint32_t *ret_type) {
-    const uint8_t *begin = from->at;
-    uint64_t size, type, name;
-    if (!take(from, 4, &size) || !take(from, 4, &type)) return false;
-    if (size == 1 && !take(from, 8, &size)) return false;
-    if (type == TYPE('u', 'u', 'i', 'd') && (!take(from, 8, &name) || !take(from, 8, &name)))
-        return false;
-    uint64_t header = (uint64_t)(from->at - begin);
-    *ret_size = size == 0 ? (uint64_t)(from->end - from->at) : size < header ? 0 : size - header;
-    *ret_type = (uint32_t)type;
-    return size == 0 || size >= header;
-}
-
-// The next box and what it holds; false at the end, and where a box is cut off or damaged.
-static bool take_box(struct span *from, uint32_t *ret_type, struct span *ret_body) {
-    uint64_t size;
-    if (!take_header(from, &size, ret_type) || size > (uint64_t)(from->end - from->at))
-        return false;
-    *ret_body = (struct span){from->at, from->at + size};
-    from->at += size;
-    return true;
-}
-
 static enum verdict add_part(struct parts *parts, uint32_t of, uint32_t is) {
     if (parts->count == MAX_PARTS) return TOO_MANY;
     if (parts->count == parts->capacity) {
@@ -79,31 +39,31 @@ static enum verdict add_part(struct parts *parts, uint32_t of, uint32_t is) {
 
 // A box of references (ISO/IEC 14496-12, 8.11.12): a derived picture names its sources (dimg), an
 // alpha channel or the like the picture that it belongs to (auxl).
-static enum verdict take_references(struct span box, struct parts *parts) {
+static enum verdict take_references(struct rn_span box, struct parts *parts) {
     enum verdict verdict = SOUND;
     uint64_t version, from, to, count, size;
     uint32_t type;
-    if (!take(&box, 4, &version)) return SOUND;
+    if (!rn_span_take(&box, 4, &version)) return SOUND;
     int width = version >> 24 == 0 ? 2 : 4;
-    while (!verdict && take_header(&box, &size, &type) && take(&box, width, &from) &&
-           take(&box, 2, &count))
-        for (; !verdict && count > 0 && take(&box, width, &to); count--)
-            if (type == TYPE('d', 'i', 'm', 'g'))
+    while (!verdict && rn_box_take_header(&box, &size, &type) && rn_span_take(&box, width, &from) &&
+           rn_span_take(&box, 2, &count))
+        for (; !verdict && count > 0 && rn_span_take(&box, width, &to); count--)
+            if (type == RN_BOX('d', 'i', 'm', 'g'))
                 verdict = add_part(parts, (uint32_t)from, (uint32_t)to);
-            else if (type == TYPE('a', 'u', 'x', 'l'))
+            else if (type == RN_BOX('a', 'u', 'x', 'l'))
                 verdict = add_part(parts, (uint32_t)to, (uint32_t)from);
     return verdict;
 }
 
-static enum verdict take_file(struct span file, struct parts *parts) {
+static enum verdict take_file(struct rn_span file, struct parts *parts) {
     enum verdict verdict = SOUND;
-    struct span meta, box;
+    struct rn_span meta, box;
     uint64_t version;
     uint32_t type;
-    while (take_box(&file, &type, &meta)) {
-        if (type != TYPE('m', 'e', 't', 'a') || !take(&meta, 4, &version)) continue;
-        while (!verdict && take_box(&meta, &type, &box))
-            if (type == TYPE('i', 'r', 'e', 'f')) verdict = take_references(box, parts);
+    while (rn_box_take(&file, &type, &meta)) {
+        if (type != RN_BOX('m', 'e', 't', 'a') || !rn_span_take(&meta, 4, &version)) continue;
+        while (!verdict && rn_box_take(&meta, &type, &box))
+            if (type == RN_BOX('i', 'r', 'e', 'f')) verdict = take_references(box, parts);
     }
     return verdict;
 }
@@ -153,7 +113,7 @@ static enum verdict count_parts(const struct parts *parts, struct part *first, i
 enum rn_status rn_heif_check_parts(const uint8_t *bytes, size_t size_bytes, const char *where,
                                    struct rn_error *err) {
     struct parts parts = {0};
-    enum verdict verdict = take_file((struct span){bytes, bytes + size_bytes}, &parts);
+    enum verdict verdict = take_file((struct rn_span){bytes, bytes + size_bytes}, &parts);
     if (parts.count) qsort(parts.list, parts.count, sizeof *parts.list, by_item);
     for (size_t i = 0; !verdict && i < parts.count; i++)
         if (i == 0 || parts.list[i].of != parts.list[i - 1].of)

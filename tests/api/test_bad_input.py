@@ -111,6 +111,26 @@ IMAGES = {
     "HEIC of another size": (raw(heif.file(
         [(1, "grid", heif.grid(1, 1, 32000, 32000), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
                              "r_0.png", "over a limit"),
+    # What asks for more than it says, before room is made for it: 1 to 5 GB for 400 bytes.
+    "HEIC of a large grid": (raw(heif.file(
+        [(1, "grid", heif.grid(1, 1, 16384, 16384), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
+                             "r_0.png", "over a limit"),
+    "HEIC grid in a grid": (raw(heif.file(
+        [(1, "grid", heif.grid(1, 1, 16, 16), [heif.size(16, 16)]),
+         (3, "grid", heif.grid(1, 1, 16384, 16384), [heif.size(16, 16)]), heif.tile(2)],
+        [("dimg", 1, [3]), ("dimg", 3, [2])])), "r_0.png", "over a limit"),
+    "HEIC of another grid": (raw(heif.file(
+        [(1, "grid", heif.grid(1, 1, 16384, 8192), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
+                             "r_0.png", "another size (16384 x 8192) than its header says (16 x 16)"),
+    "HEIC of a large overlay": (raw(heif.file(
+        [(1, "iovl", heif.overlay(16384, 16384), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
+                                "r_0.png", "over a limit"),
+    "HEIC coded larger": (raw(heif.file(
+        [(1, "hvc1", heif.coded()[1], [heif.configured(32768, 32768), heif.size(16, 16)])], [])),
+                          "r_0.png", "32768 x 32768"),
+    "HEIC coded larger within": (raw(heif.file(
+        [(1, "hvc1", struct.pack(">I", len(heif.parameters(32768, 32768))) + heif.parameters(32768, 32768)
+          + heif.coded()[1], [heif.coded()[0], heif.size(16, 16)])], [])), "r_0.png", "32768 x 32768"),
     "HEIC that is cut": (raw(heif.tiled(2, 2)[:-20]), FIRST, "damaged"),
     "HEIC tiles of tiles": (raw(heif.file(
         [(i, "grid", heif.grid(128, 128, 8192, 8192), GRID[3]) for i in (1, 2, 3)] + [heif.tile(4, 8, 8)],

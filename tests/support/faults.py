@@ -76,3 +76,8 @@ class Faults:
         frames = self.plan.last[:self.plan.last_depth]
         return KINDS[self.plan.last_kind] + ": " + " ".join(
             f"{frame.module.decode()}+{frame.offset:#x}" for frame in frames)
+
+    def is_within(self, libraries):
+        """Whether one of these asked for what failed last, by the C library's functions or by itself."""
+        asked = (frame.module.decode() for frame in self.plan.last[:self.plan.last_depth])
+        return next(name for name in asked if not name.startswith(("ripnerf-held.so", "libc.so"))).startswith(libraries)

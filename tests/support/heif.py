@@ -24,6 +24,56 @@ def coded():
     return file[at:at + struct.unpack_from(">I", file, at)[0]], file[data:data + 33]
 
 
+class Bits:
+    """Of a unit of HEVC, without its escapes."""
+
+    def __init__(self, unit):
+        self.text = "".join(f"{byte:08b}" for byte in unit.replace(b"\0\0\3", b"\0\0"))
+        self.at = 0
+
+    def number(self):
+        zeros = self.text.index("1", self.at) - self.at
+        self.at += 2 * zeros + 1
+        return int(self.text[self.at - zeros - 1:self.at], 2) - 1
+
+
+def number(value):
+    return "0" * ((value + 1).bit_length() - 1) + f"{value + 1:b}"
+
+
+def escaped(unit):
+    out = bytearray()
+    for byte in unit:
+        if byte <= 3 and out[-2:] == b"\0\0":
+            out.append(3)
+        out.append(byte)
+    return bytes(out)
+
+
+def parameters(width, height):
+    """The coded picture's sequence parameter set, which says another size."""
+    configuration, _ = coded()
+    at = configuration.index(b"\x42\x01")
+    unit = configuration[at:at + struct.unpack_from(">H", configuration, at - 2)[0]]
+    bits = Bits(unit[2:])
+    bits.at = 4 + 3 + 1 + 96  # one layer
+    bits.number(), bits.number()
+    begin = bits.at
+    bits.number(), bits.number()
+    text = (bits.text[:begin] + number(width) + number(height) + bits.text[bits.at:]).rstrip("0")
+    text += "0" * (-len(text) % 8)
+    return unit[:2] + escaped(int(text, 2).to_bytes(len(text) // 8, "big"))
+
+
+def configured(width, height):
+    """What configures the decoder for another size."""
+    configuration, _ = coded()
+    at = configuration.index(b"\x42\x01") - 2
+    end = at + 2 + struct.unpack_from(">H", configuration, at)[0]
+    unit = parameters(width, height)
+    return box("hvcC", configuration[8:at], struct.pack(">H", len(unit)), unit, configuration[end:])
+
+
 def size(width, height):
     return full("ispe", 0, struct.pack(">II", width, height))
 
@@ -38,6 +88,11 @@ def alpha():
 
 def grid(columns, rows, width, height):
     return struct.pack(">BBBBII", 0, 1, rows - 1, columns - 1, width, height)
+
+
+def overlay(width, height):
+    """Of one picture, at its corner."""
+    return struct.pack(">BB4HIIii", 0, 1, 0, 0, 0, 0, width, height, 0, 0)
 
 
 def tile(item, width=SIDE, height=SIDE, *more):

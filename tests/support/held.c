@@ -1,8 +1,11 @@
-// Preloaded in tests, before faults.c: what the program RIPNERF_HELD_OF has allocated and not given
-// back when it ends is written to RIPNERF_HELD, a line for each block: MODULE+OFFSET of who asked
-// for it. The loader's own, which go with threads, are left out.
+// Preloaded in tests, before faults.c: what a process of the program RIPNERF_HELD_OF has allocated
+// and not given back when it ends is written to RIPNERF_HELD.PID, a line for each block:
+// MODULE+OFFSET of who asked for it; then a line that says "whole". The loader's own, which go with
+// threads, are left out. The file is opened at the start: a confined program could not.
 #include <dlfcn.h>
 #include <errno.h>
+#include <fcntl.h>
+#include <limits.h>
 #include <link.h>
 #include <stdatomic.h>
 #include <stdbool.h>
@@ -11,6 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <unistd.h>
 
 #define PLACES (1u << 22) // more than a test's programs ever hold
 #define GONE 1            // in the place of a block that was given back
@@ -21,6 +25,7 @@ struct block {
 
 static struct block *blocks;
 static bool counts;
+static int report = -1;
 
 // The next definition of this function.
 #define NEXT(name) (__extension__(__typeof__(&name)) dlsym(RTLD_NEXT, #name))
@@ -49,7 +54,12 @@ __attribute__((constructor)) static void find(void) {
 
 __attribute__((constructor)) static void begin(void) {
     const char *program = getenv("RIPNERF_HELD_OF");
-    if (program == NULL || strcmp(program, program_invocation_short_name) != 0) return;
+    const char *path = getenv("RIPNERF_HELD");
+    char own[PATH_MAX];
+    if (program == NULL || path == NULL || strcmp(program, program_invocation_short_name) != 0)
+        return;
+    snprintf(own, sizeof own, "%s.%d", path, (int)getpid());
+    report = open(own, O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC, 0600);
     void *room = mmap(NULL, PLACES * sizeof *blocks, PROT_READ | PROT_WRITE,
                       MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     if (room == MAP_FAILED) return;
@@ -112,17 +122,16 @@ void free(void *block) {
 }
 
 __attribute__((destructor)) static void end(void) {
-    const char *path = getenv("RIPNERF_HELD");
-    if (!counts || path == NULL) return;
+    if (!counts || report < 0) return;
     counts = false;
-    FILE *file = fopen(path, "we");
-    for (size_t i = 0; file != NULL && i < PLACES; i++) {
+    for (size_t i = 0; i < PLACES; i++) {
         struct dl_find_object found;
         if (blocks[i].at <= GONE || _dl_find_object((void *)blocks[i].asked, &found) != 0) continue;
         const char *name = strrchr(found.dlfo_link_map->l_name, '/');
         if (name != NULL && strncmp(name, "/ld-", 4) == 0) continue;
-        fprintf(file, "%s+%#lx\n", name ? name + 1 : program_invocation_short_name,
+        dprintf(report, "%s+%#lx\n", name ? name + 1 : program_invocation_short_name,
                 (unsigned long)(blocks[i].asked - (uintptr_t)found.dlfo_map_start));
     }
-    if (file != NULL) fclose(file);
+    dprintf(report, "whole\n");
+    close(report);
 }
