@@ -123,6 +123,7 @@ enum rn_status rn_trainer_create(struct rn_engine *engine, const struct rn_datas
     *ret_trainer = t;
     return RN_OK;
 fail:
+    status = rn_trainer_lacks_memory(t, status, err);
     rn_trainer_destroy(&t);
     return status;
 }
@@ -181,6 +182,7 @@ enum rn_status rn_trainer_restore(struct rn_engine *engine, const struct rn_data
     return RN_OK;
 fail:
     rn_checkpoint_close(&checkpoint);
+    status = rn_trainer_lacks_memory(t, status, err);
     rn_trainer_destroy(&t);
     return status;
 }

@@ -1,6 +1,7 @@
 #include "server/engine/train/memory.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 #include <strings.h>
 
@@ -123,17 +124,31 @@ static size_t training_bytes(const struct rn_trainer *t) {
     return OWN_BYTES + dataset_bytes(t->dataset) + (steps > decoding ? steps : decoding);
 }
 
+#define LESS_MEMORY "take a smaller --base, fewer --planes or a smaller --preset, or "
+
+enum rn_status rn_trainer_lacks_memory(const struct rn_trainer *t, enum rn_status status,
+                                       struct rn_error *err) {
+    char where[sizeof err->where];
+    if (status != RN_ERROR_NO_MEMORY || !t || !err || strcmp(err->text, "out of memory") != 0)
+        return status; // or it is a device's that is out
+    snprintf(where, sizeof where, "%s", err->where);
+    return rn_error_set(err, status, where,
+                        "out of memory; training needs %zu MiB in all: " LESS_MEMORY
+                        "let ripnerfd and its runners have more",
+                        rn_trainer_bytes(t) >> 20);
+}
+
 enum rn_status rn_trainer_check_memory(const struct rn_trainer *t, size_t limit, size_t *ret_left,
                                        struct rn_error *err) {
     *ret_left = 0;
     if (!limit) return RN_OK;
     size_t need = training_bytes(t) + LEAST_PAGES;
     if (need >= limit)
-        return rn_error_set(err, RN_ERROR_LIMIT, t->dataset->name,
-                            "training needs %zu MiB besides the pixels and the limit is %zu MiB; "
-                            "take a smaller --base, fewer --planes or a smaller --preset, or "
-                            "start ripnerfd with a larger --memory-limit",
-                            need >> 20, limit >> 20);
+        return rn_error_set(
+            err, RN_ERROR_LIMIT, t->dataset->name,
+            "training needs %zu MiB besides the pixels and the limit is %zu MiB; " LESS_MEMORY
+            "start ripnerfd with a larger --memory-limit",
+            need >> 20, limit >> 20);
     *ret_left = limit - need + LEAST_PAGES;
     return RN_OK;
 }

@@ -15,5 +15,9 @@ size_t rn_trainer_bytes(const struct rn_trainer *trainer);
 // Of `limit` bytes (0: no limit) what is left for photographs. RN_ERROR_LIMIT where nothing is.
 enum rn_status rn_trainer_check_memory(const struct rn_trainer *trainer, size_t limit,
                                        size_t *ret_left, struct rn_error *err) RN_MUST_CHECK;
+// Returns `status`. Where it is RN_ERROR_NO_MEMORY of the host and there is a trainer, which may be
+// unfinished, the error says how much a training needs and what takes less.
+enum rn_status rn_trainer_lacks_memory(const struct rn_trainer *trainer, enum rn_status status,
+                                       struct rn_error *err);
 
 #endif

@@ -5,6 +5,7 @@
 
 #include "common/base/clock.h"
 #include "server/engine/train/grow.h"
+#include "server/engine/train/memory.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/withheld.h"
 
@@ -196,7 +197,7 @@ enum rn_status rn_trainer_advance(struct rn_trainer *t, double budget_ms, struct
         }
         status = run_block(t, err);
         if (status == RN_OK) status = rn_trainer_guard_check(t, err);
-        if (status != RN_OK) return status;
+        if (status != RN_OK) return rn_trainer_lacks_memory(t, status, err);
     } while (rn_clock_ns() < until && !rn_engine_is_wanted(t->engine));
     return RN_OK;
 }
