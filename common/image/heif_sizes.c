@@ -12,6 +12,7 @@
 #define GRID RN_BOX('g', 'r', 'i', 'd')
 #define OVERLAY RN_BOX('i', 'o', 'v', 'l')
 #define HEVC RN_BOX('h', 'v', 'c', '1')
+#define AV1 RN_BOX('a', 'v', '0', '1')
 #define MOST_PADDING 128 // of a coded picture: whole blocks of it, which are 64 pixels at most
 #define MOST_SHARED 16   // how often the file's bytes may be those of parts
 
@@ -117,7 +118,7 @@ static enum rn_status take_items(struct look *look, struct rn_span box) {
             version >> 24 < 2 || !rn_span_take(&entry, version >> 24 == 2 ? 2 : 4, &id) ||
             !rn_span_take(&entry, 2, &protection) || !rn_span_take(&entry, 4, &kind))
             continue;
-        if (kind == GRID || kind == OVERLAY || kind == HEVC)
+        if (kind == GRID || kind == OVERLAY || kind == HEVC || kind == AV1)
             look->items[used++] = (struct item){.id = (uint32_t)id, .type = (uint32_t)kind};
     }
     qsort(look->items, used, sizeof *look->items, by_id);
@@ -245,7 +246,12 @@ static enum rn_status check_data(struct look *look, uint64_t id, struct rn_span 
         uint64_t bytes = (uint64_t)(data.end - data.at);
         if (bytes > look->left) return damaged(look, "many of its pictures are the same bytes");
         look->left -= bytes;
-        status = item->type == HEVC ? check_units(look, item, data) : check_grid(look, item, data);
+        if (item->type == HEVC)
+            status = check_units(look, item, data);
+        else if (item->type == AV1)
+            status = check_part(look, item, rn_av1_size(data), MOST_PADDING);
+        else
+            status = check_grid(look, item, data);
     }
     return status;
 }

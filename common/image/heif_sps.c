@@ -3,47 +3,24 @@
 
 #include "common/image/heif_sizes.h"
 
-#define READ_BYTES 256 // of a parameter set, escapes included: its size stands within the first 140
 #define TIER_AND_LEVEL 96
 #define SUB_LAYER_TIER 88
 #define SUB_LAYER_LEVEL 8
 
-struct bits {
-    uint8_t bytes[READ_BYTES];
-    size_t count, at; // in bits
-};
-
-static unsigned take_bit(struct bits *from) {
-    if (from->at >= from->count) {
-        from->at = SIZE_MAX / 2; // beyond the end for good
-        return 0;
-    }
-    unsigned bit = from->bytes[from->at / 8] >> (7 - from->at % 8) & 1u;
-    from->at++;
-    return bit;
-}
-
-static unsigned take_bits(struct bits *from, int count) {
-    unsigned value = 0;
-    for (int i = 0; i < count; i++)
-        value = value << 1 | take_bit(from);
-    return value;
-}
-
 // ue(v) of ITU-T H.265, 9.2; UINT32_MAX where it takes more than 32 bits.
-static uint32_t take_number(struct bits *from) {
+static uint32_t take_number(struct rn_bits *from) {
     int zeros = 0;
-    while (zeros < 32 && !take_bit(from))
+    while (zeros < 32 && !rn_bits_take(from, 1))
         zeros++;
     if (zeros == 32) return UINT32_MAX;
-    return (uint32_t)(((uint64_t)1 << zeros) - 1 + take_bits(from, zeros));
+    return (uint32_t)(((uint64_t)1 << zeros) - 1 + rn_bits_take(from, zeros));
 }
 
 // Without the bytes that keep a start code from standing in it (7.3.1.1).
-static void unescape(struct rn_span unit, struct bits *ret_bits) {
+static void unescape(struct rn_span unit, struct rn_bits *ret_bits) {
     size_t count = 0;
     int zeros = 0;
-    for (; unit.at < unit.end && count < READ_BYTES; unit.at++) {
+    for (; unit.at < unit.end && count < RN_BITS_BYTES; unit.at++) {
         bool escape = zeros >= 2 && *unit.at == 3;
         zeros = *unit.at == 0 ? zeros + 1 : 0;
         if (!escape) ret_bits->bytes[count++] = *unit.at;
@@ -53,27 +30,27 @@ static void unescape(struct rn_span unit, struct bits *ret_bits) {
 }
 
 // profile_tier_level (7.3.3) of so many layers beside the first.
-static void skip_levels(struct bits *from, unsigned layers) {
+static void skip_levels(struct rn_bits *from, unsigned layers) {
     unsigned present[8] = {0};
     from->at += TIER_AND_LEVEL;
     for (unsigned i = 0; i < layers; i++)
-        present[i] = take_bits(from, 2);
+        present[i] = rn_bits_take(from, 2);
     if (layers > 0) from->at += 2 * (8 - (size_t)layers);
     for (unsigned i = 0; i < layers; i++)
         from->at += (present[i] & 2 ? SUB_LAYER_TIER : 0) + (present[i] & 1 ? SUB_LAYER_LEVEL : 0);
 }
 
 bool rn_hevc_size(struct rn_span unit, struct rn_extent *ret_size) {
-    struct bits bits;
+    struct rn_bits bits;
     if (unit.end - unit.at < 2 || (unit.at[0] >> 1 & 63) != RN_HEVC_SPS) return false;
     unit.at += 2;
     unescape(unit, &bits);
-    (void)take_bits(&bits, 4);
-    unsigned layers = take_bits(&bits, 3);
-    (void)take_bit(&bits);
+    (void)rn_bits_take(&bits, 4);
+    unsigned layers = rn_bits_take(&bits, 3);
+    (void)rn_bits_take(&bits, 1);
     skip_levels(&bits, layers);
     (void)take_number(&bits);
-    if (take_number(&bits) == 3) (void)take_bit(&bits); // planes of 4:4:4 may be coded apart
+    if (take_number(&bits) == 3) (void)rn_bits_take(&bits, 1); // planes of 4:4:4 may be coded apart
     uint32_t width = take_number(&bits), height = take_number(&bits);
     *ret_size = (struct rn_extent){width, height};
     return bits.at <= bits.count;

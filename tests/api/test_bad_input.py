@@ -131,6 +131,9 @@ IMAGES = {
     "HEIC coded larger within": (raw(heif.file(
         [(1, "hvc1", struct.pack(">I", len(heif.parameters(32768, 32768))) + heif.parameters(32768, 32768)
           + heif.coded()[1], [heif.coded()[0], heif.size(16, 16)])], [])), "r_0.png", "32768 x 32768"),
+    "AVIF coded larger": (raw(heif.file([heif.av1(32768, 32768)], [])), "r_0.png", "32768 x 32768"),
+    "AVIF of another size": (raw(heif.file([heif.av1(8192, 8192)], [])), "r_0.png",
+                             "another size (8192 x 8192) than its header says (16 x 16)"),
     "HEIC that is cut": (raw(heif.tiled(2, 2)[:-20]), FIRST, "damaged"),
     "HEIC tiles of tiles": (raw(heif.file(
         [(i, "grid", heif.grid(128, 128, 8192, 8192), GRID[3]) for i in (1, 2, 3)] + [heif.tile(4, 8, 8)],
@@ -166,6 +169,7 @@ GOOD = {
     "palette": saved("P"),
     "grey": saved("L"),
     "HEIC of tiles": raw(heif.tiled(4, 3, 250, 190)),
+    "AVIF": raw(heif.file([heif.av1(16, 16)], [])),
     "spaces and unicode": lambda folder: (
         image(folder).rename(image(folder, "zwölf Äpfel 日本.png")),
         set_path("./train/zwölf Äpfel 日本")(folder)),

@@ -74,6 +74,19 @@ def configured(width, height):
     return box("hvcC", configuration[8:at], struct.pack(">H", len(unit)), unit, configuration[end:])
 
 
+def av1(width, height):
+    """An item of the coded picture of 16 x 16 pixels in AV1, which says another size."""
+    file = CODED.with_suffix(".avif").read_bytes()
+    begin = file.index(b"mdat") + 4  # two empty bytes, the sequence header with its length, a frame
+    sequence, frame = file[begin + 4:begin + 13], file[begin + 13:begin + 25]
+    text = "".join(f"{byte:08b}" for byte in sequence)  # 10 bits, and twice 4 bits and 4 of these
+    text = (text[:10] + "1" * 8 + f"{width - 1:016b}{height - 1:016b}" + text[26:]).rstrip("0")
+    text += "0" * (-len(text) % 8)
+    unit = int(text, 2).to_bytes(len(text) // 8, "big")
+    data = b"\x12\0\x0a" + bytes([len(unit)]) + unit + frame
+    return 1, "av01", data, [box("av1C", b"\x81\0\x0c\0"), size(16, 16), bits(8, 8, 8)]
+
+
 def size(width, height):
     return full("ispe", 0, struct.pack(">II", width, height))
 

@@ -14,6 +14,7 @@ static const struct {
     {"gps.avif", "", RN_OK},
     {"overlay.heic", "", RN_OK},
     {"other-grid.heic", "(16384 x 8192) than its header says (16 x 16)", RN_ERROR_INVALID},
+    {"coded-larger.avif", "a picture in it is 32768 x 32768", RN_ERROR_LIMIT},
     {"coded-larger.heic", "a picture in it is 32768 x 32768", RN_ERROR_LIMIT},
 };
 
@@ -103,12 +104,62 @@ START_TEST(parameters_of_layers) {
 }
 END_TEST
 
+// Not a reduced still picture: with timing, two operating points, the first of a level with a tier,
+// and delays of 3 bits; units before it and after.
+START_TEST(sequence_of_frames) {
+    static const char header[] = "000"
+                                 "0"
+                                 "0"
+                                 "1"
+                                 "00000000000000000000000000000001"
+                                 "00000000000000000000000000000001"
+                                 "1"
+                                 "00100"
+                                 "1"
+                                 "00010"
+                                 "00000000000000000000000000000001"
+                                 "00000"
+                                 "00000"
+                                 "1"
+                                 "00001"
+                                 "000000000001"
+                                 "01000"
+                                 "1"
+                                 "1"
+                                 "101"
+                                 "101"
+                                 "0"
+                                 "1"
+                                 "0011"
+                                 "000000000001"
+                                 "00111"
+                                 "0"
+                                 "0"
+                                 "0101"
+                                 "0100"
+                                 "111111"
+                                 "01111";
+    uint8_t units[64] = {0x12, 0, 0x0a, 0};
+    size_t bits = sizeof header - 1, length = (bits + 7) / 8;
+    for (size_t i = 0; i < bits; i++)
+        units[4 + i / 8] |= (uint8_t)((header[i] == '1') << (7 - i % 8));
+    units[3] = (uint8_t)length;
+    units[4 + length] = 0x32;
+    struct rn_extent found = rn_av1_size((struct rn_span){units, units + 6 + length});
+    ck_assert_uint_eq(found.width, 64);
+    ck_assert_uint_eq(found.height, 16);
+    found = rn_av1_size((struct rn_span){units, units + length});
+    ck_assert_uint_eq(found.width, 0);
+}
+END_TEST
+
 int main(void) {
     TCase *sizes = tcase_create("sizes");
     tcase_add_loop_test(sizes, by_their_own_data, 0, sizeof files / sizeof *files);
     tcase_add_test(sizes, limits_of_the_caller);
     tcase_add_loop_test(sizes, damaged, 0, sizeof files / sizeof *files);
     tcase_add_test(sizes, parameters_of_layers);
+    tcase_add_test(sizes, sequence_of_frames);
     Suite *suite = suite_create("heif sizes");
     suite_add_tcase(suite, sizes);
     return run_suite(suite);

@@ -1,0 +1,18 @@
+#include "common/image/heif_sizes.h"
+
+static unsigned take_bit(struct rn_bits *from) {
+    if (from->at >= from->count) {
+        from->at = SIZE_MAX / 2; // beyond the end for good
+        return 0;
+    }
+    unsigned bit = from->bytes[from->at / 8] >> (7 - from->at % 8) & 1u;
+    from->at++;
+    return bit;
+}
+
+unsigned rn_bits_take(struct rn_bits *from, int count) {
+    unsigned value = 0;
+    for (int i = 0; i < count; i++)
+        value = value << 1 | take_bit(from);
+    return value;
+}
