@@ -49,11 +49,12 @@ enum rn_status rn_image_check_size(int width, int height, const struct rn_image_
 enum rn_status rn_heif_check_parts(const uint8_t *bytes, size_t size_bytes, const char *where,
                                    struct rn_error *err) RN_MUST_CHECK;
 
-// Whether all pictures of a whole HEIC or AVIF file are within the limits, and none of a grid, an
-// overlay or coded larger than is said of it: as their own data have it, for which libheif 1.15 and
+// Whether all pictures of a whole HEIC or AVIF file are within the limits, and none of a grid or
+// coded larger than is said of it: as their own data have it, for which libheif 1.15 and
 // its decoders make room, and beyond which they write. RN_ERROR_INVALID, RN_ERROR_LIMIT,
-// RN_ERROR_NO_MEMORY. What else is wrong with the file is not looked at, nor at a size that one
-// frame of an AV1 stream has for itself.
+// RN_ERROR_NO_MEMORY; RN_ERROR_UNSUPPORTED for overlays and identities, which that library follows
+// to pictures that are not there. What else is wrong with the file is not looked at, nor at a size
+// that one frame of an AV1 stream has for itself.
 enum rn_status rn_heif_check_sizes(const uint8_t *bytes, size_t size_bytes,
                                    const struct rn_image_limits *limits, const char *where,
                                    struct rn_error *err) RN_MUST_CHECK;

@@ -1,5 +1,5 @@
 // How large the pictures of a HEIC or AVIF file are by what they are made of, which need not be
-// what the file says first: a library makes room for a grid, an overlay or a coded picture by its
+// what the file says first: a library makes room for a grid or a coded picture by its
 // own data.
 #include "common/image/heif_sizes.h"
 
@@ -11,6 +11,7 @@
 
 #define GRID RN_BOX('g', 'r', 'i', 'd')
 #define OVERLAY RN_BOX('i', 'o', 'v', 'l')
+#define IDENTITY RN_BOX('i', 'd', 'e', 'n')
 #define HEVC RN_BOX('h', 'v', 'c', '1')
 #define AV1 RN_BOX('a', 'v', '0', '1')
 #define MOST_PADDING 128 // of a coded picture: whole blocks of it, which are 64 pixels at most
@@ -43,6 +44,13 @@ struct look {
 static enum rn_status damaged(const struct look *look, const char *what) {
     return rn_error_set(look->err, RN_ERROR_INVALID, look->where,
                         "the HEIC or AVIF file is damaged (%s): copy or export it again", what);
+}
+
+// libheif 1.15 ends the process where what such a picture is made of is no picture of the file.
+static enum rn_status not_read(const struct look *look) {
+    return rn_error_set(look->err, RN_ERROR_UNSUPPORTED, look->where,
+                        "the HEIC or AVIF file has a picture that is laid over others, or is "
+                        "derived from one; such are not read: convert it to JPEG");
 }
 
 static enum rn_status no_memory(const struct look *look) {
@@ -118,7 +126,8 @@ static enum rn_status take_items(struct look *look, struct rn_span box) {
             version >> 24 < 2 || !rn_span_take(&entry, version >> 24 == 2 ? 2 : 4, &id) ||
             !rn_span_take(&entry, 2, &protection) || !rn_span_take(&entry, 4, &kind))
             continue;
-        if (kind == GRID || kind == OVERLAY || kind == HEVC || kind == AV1)
+        if (kind == OVERLAY || kind == IDENTITY) return not_read(look);
+        if (kind == GRID || kind == HEVC || kind == AV1)
             look->items[used++] = (struct item){.id = (uint32_t)id, .type = (uint32_t)kind};
     }
     qsort(look->items, used, sizeof *look->items, by_id);
@@ -215,8 +224,7 @@ static enum rn_status check_grid(const struct look *look, const struct item *ite
                                  struct rn_span data) {
     uint64_t version, flags, skipped, width, height;
     if (!rn_span_take(&data, 1, &version) || !rn_span_take(&data, 1, &flags) ||
-        !rn_span_take(&data, item->type == GRID ? 2 : 8, &skipped) ||
-        !rn_span_take(&data, flags & 1 ? 4 : 2, &width) ||
+        !rn_span_take(&data, 2, &skipped) || !rn_span_take(&data, flags & 1 ? 4 : 2, &width) ||
         !rn_span_take(&data, flags & 1 ? 4 : 2, &height))
         return RN_OK;
     struct rn_extent size = {(uint32_t)width, (uint32_t)height};

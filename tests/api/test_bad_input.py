@@ -122,9 +122,11 @@ IMAGES = {
     "HEIC of another grid": (raw(heif.file(
         [(1, "grid", heif.grid(1, 1, 16384, 8192), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
                              "r_0.png", "another size (16384 x 8192) than its header says (16 x 16)"),
-    "HEIC of a large overlay": (raw(heif.file(
-        [(1, "iovl", heif.overlay(16384, 16384), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [2])])),
-                                "r_0.png", "over a limit"),
+    "HEIC overlay of nothing": (raw(heif.file(
+        [(1, "iovl", heif.overlay(16, 16), [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [3])])),
+                                "r_0.png", "laid over others"),
+    "HEIC identity of nothing": (raw(heif.file(
+        [(1, "iden", b"", [heif.size(16, 16)]), heif.tile(2)], [("dimg", 1, [3])])), "r_0.png", "derived"),
     "HEIC coded larger": (raw(heif.file(
         [(1, "hvc1", heif.coded()[1], [heif.configured(32768, 32768), heif.size(16, 16)])], [])),
                           "r_0.png", "32768 x 32768"),
