@@ -71,7 +71,7 @@ def test_the_whole_command(kit, tmp_path):
                             env=environment)
     known = json.loads((tmp_path / "out" / "results.json").read_text())
     assert second.returncode == 0, second.stdout + (tmp_path / "out" / "log.txt").read_text()[-4000:]
-    assert len(known) == 16 and {stage["state"] for stage in known.values()} == {"done"}, known
+    assert len(known) == 17 and {stage["state"] for stage in known.values()} == {"done"}, known
     assert known["machine"] == begun["machine"]
     assert known["machine"]["found"]["gpu"]["clocks.max.sm"] == "1980 MHz"
     assert known["data"]["found"]["views"] == {"train": 8, "val": 2, "test": 2}
@@ -88,7 +88,7 @@ def test_the_whole_command(kit, tmp_path):
                            check=False, env=environment)
     elsewhere = json.loads((tmp_path / "out" / "results.json").read_text())
     assert third.returncode == 0, third.stdout + third.stderr
-    assert len(elsewhere) == 16 and elsewhere["step"] == known["step"], elsewhere
+    assert len(elsewhere) == 17 and elsewhere["step"] == known["step"], elsewhere
     assert [line.split(":")[0] for line in third.stdout.splitlines() if not line.startswith("|")] == ["machine", "data", ""]
 
 

@@ -39,7 +39,7 @@ frames = [{"split": split, "file": frame["file_path"]} for split in ("train", "v
           if (source / frame["file_path"]).is_file()]
 (target / "dataset.json").write_text(json.dumps({"frames": frames}))
 """
-OTHERS = ("kernels", "device", "step", "standard", "step, deterministic", "step, sparse", "step, last layer on chip", "step of standard", "memcheck",
+OTHERS = ("kernels", "device", "step", "standard", "step, deterministic", "step, sparse", "step, last layer on chip", "step, two tiles a warp", "step of standard", "memcheck",
           "racecheck", "profile", "two scenes", "120,000 steps")
 
 

@@ -3,7 +3,7 @@
 //
 //   cuda DATASET [preset=paper] [steps=1000] [size=800] [device=cuda:0] [deterministic=0]
 //        [planes=] [base=] [channels=] [levels=] [width=] [occupancy=] [samples=] [step=] [grow=]
-//        [rounds=5] [sparse=] [on_chip=0]
+//        [rounds=5] [sparse=] [on_chip=0] [tiles=1]
 //
 // `steps` are trained before anything is measured. Ceilings are those of
 // server/engine/cuda/README.md for the paper's configuration, scaled with the samples of a step. No
@@ -36,7 +36,7 @@ static const struct {
 struct bench {
     const char *dataset_path, *preset, *device;
     int64_t steps;
-    int size, deterministic, on_chip, rounds;
+    int size, deterministic, on_chip, tiles, rounds;
     struct rn_train_config config;
     struct rn_dataset *dataset;
     struct rn_engine *engine;
@@ -65,7 +65,8 @@ static bool set_option(struct bench *b, const char *name, const char *value) {
                  {"grow", &b->config.grow_to},
                  {"samples", &b->config.target_samples},
                  {"deterministic", &b->deterministic},
-                 {"on_chip", &b->on_chip}};
+                 {"on_chip", &b->on_chip},
+                 {"tiles", &b->tiles}};
     for (size_t i = 0; i < sizeof table / sizeof *table; i++)
         if (strcmp(name, table[i].name) == 0) {
             *table[i].number = atoi(value);
@@ -236,8 +237,10 @@ int main(int argc, char **argv) {
     }
     setvbuf(stdout, NULL, _IOLBF, 0);
     read_options(&b, argc, argv);
-    struct rn_engine_options options = {
-        .device = b.device, .deterministic = b.deterministic != 0, .last_on_chip = b.on_chip != 0};
+    struct rn_engine_options options = {.device = b.device,
+                                        .deterministic = b.deterministic != 0,
+                                        .last_on_chip = b.on_chip != 0,
+                                        .two_tiles = b.tiles == 2};
     check(rn_engine_create(&options, &b.engine, &err), &err);
     rn_engine_describe(b.engine, &info);
     printf("%s, %s, preset %s%s\n", info.name, info.kernels, b.preset,

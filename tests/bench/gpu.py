@@ -325,6 +325,7 @@ STAGES = (
     Stage("step, deterministic", 90, lambda call: step(call, "deterministic=1")),
     Stage("step, sparse", 90, lambda call: step(call, "sparse=1")),
     Stage("step, last layer on chip", 90, lambda call: step(call, "on_chip=1")),
+    Stage("step, two tiles a warp", 90, lambda call: step(call, "tiles=2")),
     Stage("step of standard", 60, lambda call: step(call, "preset=standard")),
     Stage("memcheck", 150, lambda call: sanitizer(call, "memcheck")),
     Stage("racecheck", 150, lambda call: sanitizer(call, "racecheck")),

@@ -132,6 +132,16 @@ mutate chip network.cuh "on chip: tiles are overwritten that others still read" 
 mutate chip network.cuh "on chip: the last warp's tile left out" 's/w < warps \&\& warp < WT/w + 1 < warps \&\& warp < WT/'
 mutate chip backward.cuh "on chip: all blocks' sums in one place" 's/sums + (size_t)blockIdx.x \* rn_cuda/sums + rn_cuda/'
 mutate chip layout.h "on chip: one block's sums alone are added" 's/chunks.first\[n->hidden\] + on_chip;/chunks.first[n->hidden] + 1;/'
+mutate chip field.cu "on chip: with the threads of two tiles a warp" 's/int tiles = f->two_tiles \&\& !on_chip/int tiles = f->two_tiles/'
+mutate tiles network.cuh "two tiles: products of the first for both" 's/rn_mma(c\[t\]\[0\], a\[t\]\[k\]/rn_mma(c[t][0], a[0][k]/'
+mutate tiles network.cuh "two tiles: the first's signs for both" 's/masks\[l - 1\]\[i \/ WORDS\]\[i % WORDS\] = mask\[i \/ WORDS\]/masks[l - 1][i \/ WORDS][i % WORDS] = mask[0]/'
+mutate tiles network.cuh "two tiles: both in one place" 's/layer + (place + (size_t)t)/layer + place/'
+mutate tiles backward.cuh "two tiles: the second one left out" 's/return T > 1 \&\& tiles - tile < T ? (int)(tiles - tile) : T;/return 1;/'
+mutate tiles backward.cuh "two tiles: the first's samples for both" 's/rn_returned_rows(\&batch, count, tile + t, samples/rn_returned_rows(\&batch, count, tile, samples/'
+mutate tiles backward.cuh "two tiles: the first's gradients of the density for both" 's/rn_set_column(c\[t\], 0, logit\[t\])/rn_set_column(c[t], 0, logit[0])/'
+mutate tiles backward.cuh "two tiles: features' gradients of both in one place" 's/((size_t)(tile + t) \* KT + k)/((size_t)tile * KT + k)/'
+mutate tiles backward.cuh "two tiles: as far apart as one" 's/tile = T \* rn_first_tile()/tile = rn_first_tile()/'
+mutate tiles field.cu "two tiles: without regard to shared memory" 's/return s->all ? s->tiles : 0;/return s->tiles;/'
 mutate gradients gradient.cuh "gradient: every part is a layer's first" 's/int chunk = (int)blockIdx.x - chunks.first\[layer\]/int chunk = 0/'
 mutate many gradient.cuh "gradient: groups that are not committed" 's/^    rn_copy_commit();//'
 mutate gradients gradient.cuh "gradient: chunks that overlap" \
@@ -163,13 +173,14 @@ mutate gradients encode.cuh "encode: planes with levels looked up without" 's/co
 mutate gradients encode.cuh "encode: corners that not all lanes have are left out" 's/if (rn_ballot(of_map\[0\] > 0 || of_map\[1\] > 0))/if (!rn_ballot(!(of_map[0] > 0 || of_map[1] > 0)))/'
 mutate gradients network.cuh "network: ReLU without its mask in the backward" \
     's/if (MODE == RN_LAYER_MASKED \&\& .*//'
-mutate gradients network.cuh "network: masks of another layer" 's/mask\[i\] = masks\[l - 1\]\[i\]/mask[i] = masks[l][i]/'
+mutate gradients network.cuh "network: masks of another layer" \
+    's/\(mask\[i \/ WORDS\]\[i % WORDS\] = masks\[l\) - 1\]/\1]/'
 mutate gradients network.cuh "network: activations kept without transposing" \
     's/t.y = rn_transpose(a\[j\]\[1\])/t.y = a[j][1]/'
 mutate gradients gradient.cuh "gradient: halves of a fragment exchanged" \
     's/a\[i\]\[1\] = t.z;/a[i][1] = t.y;/;s/a\[i\]\[2\] = t.y;/a[i][2] = t.z;/'
 mutate gradients backward.cuh "backward: the logit's gradient left out" \
-    's/^    rn_set_column(c, 0, logit);//'
+    's/^        rn_set_column(c\[t\], 0, logit\[t\]);//'
 mutate gradients forward.cuh "forward: no constant input" 's/rn_pack(first ? 1 : c\[0\]\[0\]/rn_pack(c[0][0]/'
 mutate gradients loss.cuh "compositing: nothing of what lies behind" \
     's/ - (float)(\*behind + (double)rest)//'
@@ -203,7 +214,7 @@ mutate rays shade.cuh "ray shading: samples without their weights" 's/ \*= of_ro
 mutate rays shade.cuh "ray shading: weights of the other half of a tile" 's/weight, RN_LANE \/ 4 + 8 \* i/weight, RN_LANE \/ 4 + 8 - 8 * i/'
 mutate rays shade.cuh "ray shading: directions of the tile's first ray" \
     's/rn_direction_of(b, r), look/rn_direction_of(b, r - RN_LANE \/ 4), look/'
-mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, in/\&scratch, 0, in/'
+mutate rays shade.cuh "ray shading: every tile in the same place" 's/\&scratch, tile, 1, in/\&scratch, 0, 1, in/'
 mutate second shade.cuh "ray shading: rays of the step before take part" \
     's/bool is = RN_LANE < RN_TILE .*/bool is = RN_LANE < RN_TILE;/'
 mutate second gradient.cuh "ray shading: as many tiles of rays as of samples" 's/of_rays ? .* : status->returned/status->returned/'

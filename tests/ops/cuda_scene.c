@@ -163,6 +163,7 @@ enum rn_status test_scene_train(struct test_scene *s, bool deterministic, struct
     const struct rn_train_config *config = &s->field->config;
     struct rn_device_training training = {.deterministic = deterministic,
                                           .last_on_chip = s->last_on_chip,
+                                          .two_tiles = s->two_tiles,
                                           .next_rays = s->rays,
                                           .gradient_scale = s->gradient_scale,
                                           .march_step = config->step,

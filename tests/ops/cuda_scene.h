@@ -28,6 +28,7 @@ struct test_scene {
     float background_variance; // of training (rn_march_options); 0.1 at first
     bool split;                // likewise; false at first
     bool last_on_chip;         // likewise
+    bool two_tiles;            // likewise
     float gradient_scale;      // that training begins with; 0, the backend's own, at first
     const float *m, *v;        // moments that training begins with; NULL at first
     const uint32_t *seen;      // of a place: what cells showed before; NULL at first

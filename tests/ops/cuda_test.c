@@ -58,8 +58,8 @@ static void check_update(const struct test_scene *s, const struct test_numbers *
     }
 }
 
-static void check_training(const struct rn_train_config *config, int count, bool deterministic,
-                           bool split) {
+static void check_tiles(const struct rn_train_config *config, int count, bool deterministic,
+                        bool split, bool two_tiles) {
     struct test_scene s;
     struct test_numbers n;
     struct rn_reference_ray rays[MOST_RAYS];
@@ -69,6 +69,7 @@ static void check_training(const struct rn_train_config *config, int count, bool
     s.rays = count;
     if (per_ray) s.rays -= split ? 8 : 7; // their last tile is not full
     s.split = split;
+    s.two_tiles = two_tiles;
     // What ends opaque shows all of its colours, too large here for fp16 with the usual scale.
     if (per_ray && config->field.space == RN_SPACE_UNBOUNDED) s.gradient_scale = 64;
     test_scene_rays(&s, 0, rays, s.rays);
@@ -110,7 +111,12 @@ static void check_training(const struct rn_train_config *config, int count, bool
     test_scene_finish(&s);
 }
 
-// _i: whether pixels are split.
+static void check_training(const struct rn_train_config *config, int count, bool deterministic,
+                           bool split) {
+    check_tiles(config, count, deterministic, split, false);
+}
+
+// _i: 1: pixels are split; 2: warps take two tiles at a time.
 START_TEST(gradients_match_reference) {
     struct rn_train_config configs[] = {
         test_config(RN_FOOTPRINT_RIP, 4, 16, 32, 4), test_config(RN_FOOTPRINT_MIP, 3, 8, 16, 3),
@@ -123,8 +129,8 @@ START_TEST(gradients_match_reference) {
     configs[2].weight_decay = 0.1;
     configs[2].sparse = true;
     configs[3].field.view_dependence = false;
-    for (size_t i = 0; i < (_i ? 2 : sizeof configs / sizeof *configs); i++)
-        check_training(&configs[i], RAYS, i % 2, _i);
+    for (size_t i = 0; i < (_i == 1 ? 2 : sizeof configs / sizeof *configs); i++)
+        check_tiles(&configs[i], RAYS, i % 2, _i == 1, _i == 2);
 }
 END_TEST
 
@@ -311,11 +317,12 @@ START_TEST(roulette_has_no_bias) {
 }
 END_TEST
 
+// _i: whether warps take two tiles at a time.
 START_TEST(papers_networks_match_reference) {
     struct rn_train_config config = test_config(RN_FOOTPRINT_RIP, 10, 16, 128, 4);
     config.field.base = 16;
     config.step = 0.1;
-    check_training(&config, RAYS, false, false);
+    check_tiles(&config, RAYS, false, false, _i);
 }
 END_TEST
 
@@ -629,11 +636,11 @@ int main(void) {
     Suite *suite = suite_create("cuda kernels");
     int shadings = RN_SHADING_RAY + 1;
     test_add(suite, "layout", fragments_hold_every_number_once, 1);
-    test_add(suite, "gradients", gradients_match_reference, 2);
+    test_add(suite, "gradients", gradients_match_reference, 3);
     test_add(suite, "rays", gradients_of_whole_rays_match_reference, 2);
     test_add(suite, "second", second_steps_match_reference, 2 * shadings);
     test_add(suite, "roulette", roulette_has_no_bias, 3);
-    test_add(suite, "paper", papers_networks_match_reference, 1);
+    test_add(suite, "paper", papers_networks_match_reference, 2);
     if (test_is_emulated()) test_add(suite, "cards", smaller_cards_match_reference, 4);
     test_add(suite, "many", many_rays_match_reference, shadings);
     test_add(suite, "many", long_rays_match_reference, shadings);

@@ -15,10 +15,13 @@
     {                                                                                              \
         WORLD, KT, WT, RN_IN(rn_forward_kernel, WORLD, KT, WT, true),                              \
             RN_IN(rn_forward_kernel, WORLD, KT, WT, false), RN_BOTH(rn_shade_kernel, WT, true),    \
-            RN_BOTH(rn_shade_kernel, WT, false), RN_BOTH(rn_head_backward_kernel, WT),             \
-            {rn_base_backward_kernel<KT, WT, false, false>,                                        \
-             rn_base_backward_kernel<KT, WT, true, false>},                                        \
-            rn_base_backward_kernel<KT, WT, true, true>, __VA_ARGS__                               \
+            RN_BOTH(rn_shade_kernel, WT, false),                                                   \
+            {rn_head_backward_kernel<WT, false, 1>, rn_head_backward_kernel<WT, true, 1>,          \
+             rn_head_backward_kernel<WT, true, 2>},                                                \
+            {rn_base_backward_kernel<KT, WT, false, false, 1>,                                     \
+             rn_base_backward_kernel<KT, WT, true, false, 1>,                                      \
+             rn_base_backward_kernel<KT, WT, true, false, 2>},                                     \
+            rn_base_backward_kernel<KT, WT, true, true, 1>, __VA_ARGS__                            \
     }
 // A ball's cells are measured, those of a place told by what they showed.
 #define RN_BALL(KT, WT, WORLD) RN_SHAPE(KT, WT, WORLD, RN_IN(rn_measure_kernel, WORLD, KT, WT))
@@ -426,6 +429,7 @@ static enum rn_status train_begin(struct rn_device_field *f, const struct rn_dev
     struct rn_arena arena = {NULL, 0};
     f->deterministic = training->deterministic;
     f->last_on_chip = training->last_on_chip;
+    f->two_tiles = training->two_tiles;
     describe_training(f, pixels, training);
     rn_train_lay_out(f, pixels, &arena);
     enum rn_status status = take(f->device, arena.used, &f->train_memory, err);

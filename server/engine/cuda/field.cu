@@ -172,12 +172,13 @@ enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_e
 // ---- launches -------------------------------------------------------------------------------
 
 struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first,
-                                 size_t second) {
+                                 size_t second, int tiles) {
     size_t one = first * sizeof(uint4), both = (first + second) * sizeof(uint4);
-    int fewer = RN_NETWORK_THREADS(false);
-    if (both <= device->shared_bytes) return rn_staging{2, both, true, RN_NETWORK_THREADS(true)};
-    if (one <= device->shared_bytes) return rn_staging{1, one, false, fewer};
-    return rn_staging{0, 0, false, fewer};
+    int fewer = RN_NETWORK_THREADS(false, 1);
+    if (both <= device->shared_bytes)
+        return rn_staging{2, both, true, tiles, RN_NETWORK_THREADS(true, tiles)};
+    if (one <= device->shared_bytes) return rn_staging{1, one, false, 1, fewer};
+    return rn_staging{0, 0, false, 1, fewer};
 }
 
 // Of kernels that declare none themselves: always all, since a graph of another field may launch
@@ -261,7 +262,7 @@ cudaError_t rn_queue_measurement(struct rn_device_field *f, const struct rn_devi
     if (m.drawn)
         RN_TRY(RN_LAUNCH(rn_draw_cells_kernel, RN_BLOCKS(listed), 256, 0, f->device->stream,
                          f->scene.occupancy, m));
-    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, 0);
+    struct rn_staging s = rn_staging_for(f->device, f->scene.base.packed_count, 0, 1);
     struct rn_device_field *own = f;
     unsigned blocks;
     RN_TRY(fill(f->device, f->shape->measure[s.all], s.threads, s.bytes, &blocks));
@@ -366,7 +367,7 @@ cudaError_t rn_queue_smoothing(struct rn_device_field *f, float share) {
 // Colour and loss of rays that are shaded as a whole, and the gradients of their samples.
 static cudaError_t queue_shading(struct rn_device_field *f) {
     struct rn_staging s =
-        rn_staging_for(f->device, f->scene.head.packed_count, f->scene.head.packed_count);
+        rn_staging_for(f->device, f->scene.head.packed_count, f->scene.head.packed_count, 1);
     unsigned shade, back;
     RN_TRY(fill(f->device, f->shape->shade_train[s.all], s.threads, s.bytes, &shade));
     RN_TRY(RN_LAUNCH(f->shape->shade_train[s.all], shade, s.threads, s.bytes, f->device->stream,
@@ -392,7 +393,7 @@ static cudaError_t queue_forward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
     cudaStream_t stream = f->device->stream;
     struct rn_staging staging =
-        rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
+        rn_staging_for(f->device, s->base.packed_count, s->head.packed_count, 1);
     unsigned blocks;
     RN_TRY(
         fill(f->device, f->shape->train[staging.all], RN_FORWARD_THREADS, staging.bytes, &blocks));
@@ -428,17 +429,22 @@ static cudaError_t queue_gradient(struct rn_device_field *f, const struct rn_cud
                      f->device->stream, network, chunks, (float *)sums, f->batch.status);
 }
 
+// Which of a backward's kernels goes with that.
+static int form_of(const struct rn_staging *s) {
+    return s->all ? s->tiles : 0;
+}
+
 // Gradients of the colour network's weights, and before where samples are shaded, of its inputs.
 static cudaError_t queue_head_backward(struct rn_device_field *f) {
     const struct rn_cuda_scene *s = &f->scene;
-    cudaStream_t stream = f->device->stream;
-    struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, s->head.packed_count);
+    struct rn_staging head =
+        rn_staging_for(f->device, s->head.packed_count, s->head.packed_count, f->two_tiles ? 2 : 1);
     if (!s->per_ray) {
+        auto head_backward = f->shape->head_backward[form_of(&head)];
         unsigned blocks;
-        RN_TRY(
-            fill(f->device, f->shape->head_backward[head.all], head.threads, head.bytes, &blocks));
-        RN_TRY(RN_LAUNCH(f->shape->head_backward[head.all], blocks, head.threads, head.bytes,
-                         stream, f->scene, f->batch, head.networks));
+        RN_TRY(fill(f->device, head_backward, head.threads, head.bytes, &blocks));
+        RN_TRY(RN_LAUNCH(head_backward, blocks, head.threads, head.bytes, f->device->stream,
+                         f->scene, f->batch, head.networks));
         RN_TRY(mark(f, "head backward"));
     }
     if (!s->per_ray || s->view_dependence) // else it takes no part
@@ -447,14 +453,16 @@ static cudaError_t queue_head_backward(struct rn_device_field *f) {
 }
 
 // With the last layer's gradient summed on the chip where that is asked for and there is room in
-// shared memory; *ret_on_chip is how many blocks did.
+// shared memory, a warp a tile then; *ret_on_chip is how many blocks did.
 static cudaError_t queue_base_backward(struct rn_device_field *f, int *ret_on_chip) {
     const struct rn_cuda_network *n = &f->scene.base;
-    struct rn_staging base = rn_staging_for(f->device, n->packed_count, n->packed_count);
-    size_t all = base.bytes + rn_cuda_on_chip_fragments(n, base.threads) * sizeof(uint4);
-    bool on_chip = f->last_on_chip && base.all && all <= f->device->shared_bytes;
+    struct rn_staging one = rn_staging_for(f->device, n->packed_count, n->packed_count, 1);
+    size_t all = one.bytes + rn_cuda_on_chip_fragments(n, one.threads) * sizeof(uint4);
+    bool on_chip = f->last_on_chip && one.all && all <= f->device->shared_bytes;
+    int tiles = f->two_tiles && !on_chip ? 2 : 1;
+    struct rn_staging base = rn_staging_for(f->device, n->packed_count, n->packed_count, tiles);
     size_t bytes = on_chip ? all : base.bytes;
-    auto base_backward = on_chip ? f->shape->base_on_chip : f->shape->base_backward[base.all];
+    auto base_backward = on_chip ? f->shape->base_on_chip : f->shape->base_backward[form_of(&base)];
     unsigned blocks;
     RN_TRY(fill(f->device, base_backward, base.threads, bytes, &blocks));
     if (on_chip && blocks > RN_CHUNKS) blocks = RN_CHUNKS;
@@ -524,8 +532,9 @@ cudaError_t rn_queue_view(struct rn_device_field *f, const struct rn_cuda_view *
     cudaStream_t stream = f->device->stream;
     struct rn_cuda_view v = *view;
     struct rn_cuda_march m = *march;
-    struct rn_staging both = rn_staging_for(f->device, s->base.packed_count, s->head.packed_count);
-    struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0);
+    struct rn_staging both =
+        rn_staging_for(f->device, s->base.packed_count, s->head.packed_count, 1);
+    struct rn_staging head = rn_staging_for(f->device, s->head.packed_count, 0, 1);
     unsigned blocks;
     RN_TRY(fill(f->device, f->shape->render[both.all], RN_FORWARD_THREADS, both.bytes, &blocks));
     RN_TRY(cudaMemsetAsync(f->view.status->queued, 0, sizeof f->view.status->queued, stream));

@@ -31,8 +31,9 @@ struct rn_kernel_shape {
     void (*render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*shade_train[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
     void (*shade_render[2])(struct rn_cuda_scene, struct rn_cuda_batch, struct rn_cuda_march, int);
-    void (*head_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int);
-    void (*base_backward[2])(struct rn_cuda_scene, struct rn_cuda_batch, int, float4 *);
+    // The third: two tiles a warp.
+    void (*head_backward[3])(struct rn_cuda_scene, struct rn_cuda_batch, int);
+    void (*base_backward[3])(struct rn_cuda_scene, struct rn_cuda_batch, int, float4 *);
     void (*base_on_chip)(struct rn_cuda_scene, struct rn_cuda_batch, int, float4 *);
     void (*measure[2])(struct rn_cuda_scene, struct rn_cuda_measurement, int); // of a ball
 };
@@ -63,7 +64,7 @@ struct rn_device_field {
     void *memory, *train_memory;
     size_t memory_bytes, train_bytes;
     // training
-    bool deterministic, last_on_chip;
+    bool deterministic, last_on_chip, two_tiles;
     struct rn_cuda_batch batch;
     struct rn_cuda_optimiser optimiser;
     struct rn_cuda_source source;
@@ -93,15 +94,16 @@ void rn_train_lay_out(struct rn_device_field *field, const struct rn_device_pixe
 enum rn_status rn_cuda_check(cudaError_t outcome, const char *doing, struct rn_error *err);
 
 // Shared memory and the number of networks staged in it (forward.cuh): as many of the two as fit;
-// whether that is all, and threads a block of the backward's kernels then.
+// whether that is all, and threads a block of the backward's kernels then, whose warps take one
+// tile or two at a time: two only where it is all.
 struct rn_staging {
     int networks;
     size_t bytes;
     bool all;
-    int threads;
+    int tiles, threads;
 };
 struct rn_staging rn_staging_for(const struct rn_backend_device *device, size_t first,
-                                 size_t second);
+                                 size_t second, int tiles);
 
 // Queues the refresh of the march's bits; the measurement of cells before it.
 cudaError_t rn_queue_occupancy(struct rn_device_field *field);

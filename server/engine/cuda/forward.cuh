@@ -233,18 +233,18 @@ template <int KT, int WT, bool TRAIN, int WORLD>
 RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encoder, int n, int index,
                              bool last, double *depth) {
     const struct rn_cuda_scene *scene = t->scene;
-    uint32_t a[KT][4], head_in[2][4];
-    float out[2][4], top[2], mid = rn_middle<WORLD>(&t->ray, index, encoder->step);
+    uint32_t a[1][KT][4], head_in[1][2][4];
+    float out[1][2][4], top[2], mid = rn_middle<WORLD>(&t->ray, index, encoder->step);
     struct rn_sample s[2];
     for (int i = 0; i < 2; i++)
         s[i] =
             rn_place<WORLD>(&t->ray, &t->line, rn_shuffle(mid, RN_LANE / 4 + 8 * i), encoder->step);
-    rn_encode<KT, WORLD>(scene, encoder, &t->ray, s, a, top);
+    rn_encode<KT, WORLD>(scene, encoder, &t->ray, s, a[0], top);
     rn_forward<KT, WT>(&scene->base, t->base, a, out);
     struct rn_sample own = rn_place<WORLD>(&t->ray, &t->line, mid, encoder->step);
     bool inside = rn_is_inside<WORLD>(&own) && RN_LANE % RN_TILE < n;
     struct rn_shaded shaded;
-    float density = rn_density_float(rn_column(out, 0));
+    float density = rn_density_float(rn_column(out[0], 0));
     shaded.x = inside ? density * (encoder->step * (float)RN_DENSITY_UNIT) : 0;
     if (rn_ends<WORLD>() && last) rn_close_end(t->march->stop_depth, *depth, n - 1, &shaded);
     rn_attenuate(t->march->stop_depth, depth, &shaded);
@@ -255,25 +255,25 @@ RN_DEVICE void rn_trace_tile(struct rn_trace *t, const struct rn_encoder *encode
     uint32_t strange = rn_ballot(!(shaded.weight >= 0) && RN_LANE < RN_TILE);
     t->evaluated += n;
     if (!(seen | strange)) return;
-    if (scene->per_ray) rn_activate(out);
-    rn_geometry(out, head_in[1]);
+    if (scene->per_ray) rn_activate(out[0]);
+    rn_geometry(out[0], head_in[0][1]);
     int slot = -1;
     if constexpr (TRAIN) {
-        slot = rn_save_tile<KT>(t, a, head_in[1], &shaded, mid);
+        slot = rn_save_tile<KT>(t, a[0], head_in[0][1], &shaded, mid);
         rn_count_levels(t->batch->status, top, shaded.weight > 0 && RN_LANE < RN_TILE);
     }
     t->opacity += shaded.weight;
     t->distance += shaded.weight * (WORLD == RN_WORLD_FORWARD ? own.t : t->ray.near + mid);
     t->samples += rn_popcount(seen);
     if (scene->per_ray) {
-        rn_add_sums(t, out, shaded.weight);
+        rn_add_sums(t, out[0], shaded.weight);
         return;
     }
     for (int i = 0; i < 4; i++)
-        head_in[0][i] = t->direction[i / 2];
+        head_in[0][0][i] = t->direction[i / 2];
     rn_forward<2, WT>(&scene->head, t->head, head_in, out);
     for (int c = 0; c < 3; c++) {
-        float colour = 1 / (1 + expf(-rn_column(out, c)));
+        float colour = 1 / (1 + expf(-rn_column(out[0], c)));
         t->colour[c] += shaded.weight != 0 ? shaded.weight * colour : 0;
         if (TRAIN && slot >= 0 && RN_LANE < RN_TILE)
             t->batch->colour[((size_t)slot * 3 + c) * RN_TILE + RN_LANE] = colour;

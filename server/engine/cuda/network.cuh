@@ -1,5 +1,6 @@
-// The tiny networks on tensor cores: a warp takes 16 rows through all layers, activations staying
-// in registers as fragments; fp16 products, fp32 sums (field/mlp.h has the mathematics).
+// The tiny networks on tensor cores: a warp takes one tile of 16 rows, or T of them, through all
+// layers, activations staying in registers as fragments; fp16 products, fp32 sums (field/mlp.h has
+// the mathematics).
 #ifndef RN_ENGINE_CUDA_NETWORK_CUH
 #define RN_ENGINE_CUDA_NETWORK_CUH
 
@@ -15,62 +16,74 @@ enum rn_layer_mode {
     RN_LAYER_PLAIN,
 };
 
-// out[16 rows][16 NT] = a[16][16 KT] times the fragments at w ([NT][KT][lane]). Bit 8 (j % 4) + i
-// of mask[j / 4] belongs to number i of fragment j. True when a number does not fit fp16.
-template <int KT, int NT, rn_layer_mode MODE>
-RN_DEVICE bool rn_layer(const uint32_t (&a)[KT][4], const uint4 *w, uint32_t (&out)[NT][4],
-                        uint32_t (&mask)[(NT + 3) / 4]) {
+// Of each of a warp's T tiles: out[16 rows][16 NT] = a[16][16 KT] times the fragments at w
+// ([NT][KT][lane]), each of which is loaded once for all. Bit 8 (j % 4) + i of mask[j / 4] belongs
+// to number i of fragment j. True when a number does not fit fp16.
+template <int KT, int NT, rn_layer_mode MODE, int T>
+RN_DEVICE bool rn_layer(const uint32_t (&a)[T][KT][4], const uint4 *w, uint32_t (&out)[T][NT][4],
+                        uint32_t (&mask)[T][(NT + 3) / 4]) {
     bool bad = false;
     w += RN_LANE;
     RN_UNROLL
     for (int j = 0; j < NT; j++) {
-        float c[2][4] = {{0}};
+        float c[T][2][4] = {{{0}}};
         RN_UNROLL
         for (int k = 0; k < KT; k++) {
             uint4 b = w[(j * KT + k) * RN_LANES];
-            rn_mma(c[0], a[k], b.x, b.y);
-            rn_mma(c[1], a[k], b.z, b.w);
-        }
-        uint32_t bits = 0;
-        RN_UNROLL
-        for (int i = 0; i < 8; i++) {
-            float &x = c[i / 4][i % 4];
-            if (MODE == RN_LAYER_RELU) {
-                bits |= (uint32_t)(x > 0) << i;
-                x = x < 0 ? 0 : x;
-            } else {
-                if (MODE == RN_LAYER_MASKED && !(mask[j / 4] >> (8 * (j % 4) + i) & 1)) x = 0;
-                bad |= !(fabsf(x) <= RN_HALF_MAX);
+            RN_UNROLL
+            for (int t = 0; t < T; t++) {
+                rn_mma(c[t][0], a[t][k], b.x, b.y);
+                rn_mma(c[t][1], a[t][k], b.z, b.w);
             }
         }
-        if (MODE == RN_LAYER_RELU)
-            mask[j / 4] = (j % 4 == 0 ? 0 : mask[j / 4]) | bits << (8 * (j % 4));
         RN_UNROLL
-        for (int i = 0; i < 4; i++)
-            out[j][i] = rn_pack(c[i / 2][2 * (i % 2)], c[i / 2][2 * (i % 2) + 1]);
+        for (int t = 0; t < T; t++) {
+            uint32_t bits = 0;
+            RN_UNROLL
+            for (int i = 0; i < 8; i++) {
+                float &x = c[t][i / 4][i % 4];
+                if (MODE == RN_LAYER_RELU) {
+                    bits |= (uint32_t)(x > 0) << i;
+                    x = x < 0 ? 0 : x;
+                } else {
+                    bool kept = mask[t][j / 4] >> (8 * (j % 4) + i) & 1;
+                    if (MODE == RN_LAYER_MASKED && !kept) x = 0;
+                    bad |= !(fabsf(x) <= RN_HALF_MAX);
+                }
+            }
+            if (MODE == RN_LAYER_RELU)
+                mask[t][j / 4] = (j % 4 == 0 ? 0 : mask[t][j / 4]) | bits << (8 * (j % 4));
+            RN_UNROLL
+            for (int i = 0; i < 4; i++)
+                out[t][j][i] = rn_pack(c[t][i / 2][2 * (i % 2)], c[t][i / 2][2 * (i % 2) + 1]);
+        }
     }
     return bad;
 }
 
-// The last layer: 16 outputs as the two fragments of C.
-template <int KT>
-RN_DEVICE void rn_last_layer(const uint32_t (&a)[KT][4], const uint4 *w, float (&c)[2][4]) {
+// The last layer: 16 outputs of each row as the two fragments of C.
+template <int KT, int T>
+RN_DEVICE void rn_last_layer(const uint32_t (&a)[T][KT][4], const uint4 *w, float (&c)[T][2][4]) {
     RN_UNROLL
-    for (int i = 0; i < 8; i++)
-        c[i / 4][i % 4] = 0;
+    for (int i = 0; i < 8 * T; i++)
+        c[i / 8][i / 4 % 2][i % 4] = 0;
     w += RN_LANE;
     RN_UNROLL
     for (int k = 0; k < KT; k++) {
         uint4 b = w[k * RN_LANES];
-        rn_mma(c[0], a[k], b.x, b.y);
-        rn_mma(c[1], a[k], b.z, b.w);
+        RN_UNROLL
+        for (int t = 0; t < T; t++) {
+            rn_mma(c[t][0], a[t][k], b.x, b.y);
+            rn_mma(c[t][1], a[t][k], b.z, b.w);
+        }
     }
 }
 
-template <int NT> RN_DEVICE void rn_move(uint32_t (&to)[NT][4], const uint32_t (&from)[NT][4]) {
+template <int NT, int T>
+RN_DEVICE void rn_move(uint32_t (&to)[T][NT][4], const uint32_t (&from)[T][NT][4]) {
     RN_UNROLL
-    for (int i = 0; i < 4 * NT; i++)
-        to[i / 4][i % 4] = from[i / 4][i % 4];
+    for (int i = 0; i < 4 * NT * T; i++)
+        to[i / (4 * NT)][i / 4 % NT][i % 4] = from[i / (4 * NT)][i / 4 % NT][i % 4];
 }
 
 // A fragment of A in memory by rows: [row][lane % 4], four numbers a lane, so that rows from
@@ -100,11 +113,11 @@ template <int NT> RN_DEVICE void rn_keep_transposed(const uint32_t (&a)[NT][4], 
     }
 }
 
-// Forward of 16 rows. `a`: inputs.
-template <int KT, int WT>
+// Forward of T tiles. `a`: inputs.
+template <int KT, int WT, int T>
 RN_DEVICE void rn_forward(const struct rn_cuda_network *n, const uint4 *weights,
-                          const uint32_t (&a)[KT][4], float (&out)[2][4]) {
-    uint32_t x[WT][4], y[WT][4], mask[(WT + 3) / 4];
+                          const uint32_t (&a)[T][KT][4], float (&out)[T][2][4]) {
+    uint32_t x[T][WT][4], y[T][WT][4], mask[T][(WT + 3) / 4];
     rn_layer<KT, WT, RN_LAYER_RELU>(a, weights, x, mask);
     for (int l = 1; l < n->hidden; l++) {
         rn_layer<WT, WT, RN_LAYER_RELU>(x, weights + n->packed[l], y, mask);
@@ -166,48 +179,55 @@ RN_DEVICE void rn_sum_on_chip(struct rn_cuda_on_chip *c, const uint32_t (&x)[WT]
     }
 }
 
-// Backward of 16 rows through all layers but the first: the forward again, keeping activations and
+// Of a warp's tiles, those that are there, at `place` and on: their blocks of a layer.
+template <int NT, int T>
+RN_DEVICE void rn_keep_tiles(const uint32_t (&a)[T][NT][4], int there, uint4 *layer, size_t place) {
+    RN_UNROLL
+    for (int t = 0; t < T; t++)
+        if (t < there) rn_keep_transposed<NT>(a[t], layer + (place + (size_t)t) * NT * RN_LANES);
+}
+
+// Backward of T tiles through all layers but the first: the forward again, keeping activations and
 // the signs, then dL/d(outputs) `grad` back to dL/d(what leaves the first layer), in `x`, masked.
-// What the weights' gradients need goes to `place` of the scratch unless that is RN_NO_PLACE; of
-// the last layer with ON_CHIP to the sums at `c` instead. True on overflow.
-#define RN_NO_PLACE SIZE_MAX
-template <int KT, int WT, bool ON_CHIP = false>
+// What the weights' gradients need of the first `there` tiles goes to `place` and on of the
+// scratch; of the last layer with ON_CHIP to the sums at `c` instead. True on overflow.
+template <int KT, int WT, bool ON_CHIP, int T>
 RN_DEVICE bool rn_backward(const struct rn_cuda_network *n, const uint4 *forward,
                            const uint4 *backward, const struct rn_cuda_scratch *s, size_t place,
-                           const uint32_t (&a)[KT][4], const uint32_t (&grad)[1][4],
-                           uint32_t (&x)[WT][4], struct rn_cuda_on_chip *c = nullptr) {
-    bool keeps = !ON_CHIP || place != RN_NO_PLACE;
-    uint32_t y[WT][4], mask[(WT + 3) / 4], masks[RN_MLP_MAX_LAYERS][(WT + 3) / 4];
-    if (keeps) rn_keep_transposed<KT>(a, rn_into(s, 0) + place * KT * RN_LANES);
+                           int there, const uint32_t (&a)[T][KT][4],
+                           const uint32_t (&grad)[T][1][4], uint32_t (&x)[T][WT][4],
+                           struct rn_cuda_on_chip *c = nullptr) {
+    constexpr int WORDS = (WT + 3) / 4;
+    uint32_t y[T][WT][4], mask[T][WORDS], masks[RN_MLP_MAX_LAYERS][T][WORDS];
+    rn_keep_tiles<KT>(a, there, rn_into(s, 0), place);
     rn_layer<KT, WT, RN_LAYER_RELU>(a, forward, x, mask);
     for (int l = 1;; l++) {
-        for (int i = 0; i < (WT + 3) / 4; i++)
-            masks[l - 1][i] = mask[i];
-        if (keeps && !(ON_CHIP && l == n->hidden))
-            rn_keep_transposed<WT>(x, rn_into(s, l) + place * WT * RN_LANES);
+        for (int i = 0; i < T * WORDS; i++)
+            masks[l - 1][i / WORDS][i % WORDS] = mask[i / WORDS][i % WORDS];
+        if (!(ON_CHIP && l == n->hidden)) rn_keep_tiles<WT>(x, there, rn_into(s, l), place);
         if (l == n->hidden) break;
         rn_layer<WT, WT, RN_LAYER_RELU>(x, forward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
     }
-    if (ON_CHIP)
-        rn_sum_on_chip<WT>(c, x, grad);
+    if constexpr (ON_CHIP)
+        rn_sum_on_chip<WT>(c, x[0], grad[0]);
     else
-        rn_keep_transposed<1>(grad, rn_out_of(s, n->hidden) + place * RN_LANES);
+        rn_keep_tiles<1>(grad, there, rn_out_of(s, n->hidden), place);
     bool bad = rn_layer<1, WT, RN_LAYER_MASKED>(grad, backward + n->packed[n->hidden], x, mask);
-    if (keeps) rn_keep_transposed<WT>(x, rn_out_of(s, n->hidden - 1) + place * WT * RN_LANES);
+    rn_keep_tiles<WT>(x, there, rn_out_of(s, n->hidden - 1), place);
     for (int l = n->hidden - 1; l > 0; l--) {
-        for (int i = 0; i < (WT + 3) / 4; i++)
-            mask[i] = masks[l - 1][i];
+        for (int i = 0; i < T * WORDS; i++)
+            mask[i / WORDS][i % WORDS] = masks[l - 1][i / WORDS][i % WORDS];
         bad |= rn_layer<WT, WT, RN_LAYER_MASKED>(x, backward + n->packed[l], y, mask);
         rn_move<WT>(x, y);
-        if (keeps) rn_keep_transposed<WT>(x, rn_out_of(s, l - 1) + place * WT * RN_LANES);
+        rn_keep_tiles<WT>(x, there, rn_out_of(s, l - 1), place);
     }
     return bad;
 }
 
 // Threads a block of the kernels behind the forward: what is known to lie in shared memory leaves
-// registers for more.
-#define RN_NETWORK_THREADS(shared) ((shared) ? 384 : 256)
+// registers for more, a second tile a warp needs them.
+#define RN_NETWORK_THREADS(shared, tiles) ((shared) && (tiles) == 1 ? 384 : 256)
 
 // Copies a network's fragments to the block's shared memory, asynchronously; where it does not fit
 // the kernels read them through the caches. Kernels have a parameter SHARED: all that they stage

@@ -64,7 +64,7 @@ RN_DEVICE uint32_t rn_measured_cell(const struct rn_cuda_occupancy *o,
 
 // Sixteen cells a warp: density at a point of each, all at one level.
 template <int KT, int WT, bool SHARED, int WORLD>
-__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED, 1), 1)
     rn_measure_kernel(const __grid_constant__ rn_cuda_scene scene,
                       const __grid_constant__ rn_cuda_measurement m, int staged) {
     const struct rn_cuda_occupancy *o = &scene.occupancy;
@@ -76,16 +76,16 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / RN_LANES;
     uint32_t count = m.drawn ? o->cells_now->drawn : m.count;
     for (uint32_t i = warp * RN_TILE; i < count; i += gridDim.x * blockDim.x / RN_LANES * RN_TILE) {
-        uint32_t a[KT][4];
-        float out[2][4], top[2];
+        uint32_t a[1][KT][4];
+        float out[1][2][4], top[2];
         struct rn_sample s[2];
         for (int k = 0; k < 2; k++) {
             uint32_t row = i + (uint32_t)(RN_LANE / 4 + 8 * k);
             s[k] = rn_cell_point(&m, rn_measured_cell(o, &m, count, row), o->cells);
         }
-        rn_encode<KT, WORLD>(&scene, &flat, &none, s, a, top);
+        rn_encode<KT, WORLD>(&scene, &flat, &none, s, a[0], top);
         rn_forward<KT, WT>(&scene.base, weights, a, out);
-        float density = rn_density_float(rn_column(out, 0));
+        float density = rn_density_float(rn_column(out[0], 0));
         uint32_t own = i + (uint32_t)RN_LANE;
         if (RN_LANE >= RN_TILE || own >= count) continue;
         uint32_t cell = rn_measured_cell(o, &m, count, own);

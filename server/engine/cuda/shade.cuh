@@ -110,7 +110,7 @@ RN_DEVICE void rn_store_sums_grad(const struct rn_cuda_batch *b, uint32_t tile,
 
 // A warp a tile of rays; their places in the scratch are in the rays' order.
 template <int WT, bool TRAIN, bool SHARED>
-__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
+__global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED, 1), 1)
     rn_shade_kernel(const __grid_constant__ rn_cuda_scene scene,
                     const __grid_constant__ rn_cuda_batch batch,
                     const __grid_constant__ rn_cuda_march march, int staged) {
@@ -124,28 +124,29 @@ __global__ void __launch_bounds__(RN_NETWORK_THREADS(SHARED), 1)
     bool bad = false;
     for (uint32_t tile = rn_first_tile(); tile < rn_cuda_tiles((uint32_t)batch.status->ray_count);
          tile += rn_tile_stride()) {
-        uint32_t in[2][4];
-        float out[2][4] = {}, colour[3];
+        uint32_t in[1][2][4];
+        float out[1][2][4] = {}, colour[3];
         int own = (int)tile * RN_TILE + RN_LANE % RN_TILE;
-        rn_ray_inputs(&scene, &batch, &march, tile, in);
+        rn_ray_inputs(&scene, &batch, &march, tile, in[0]);
         if (scene.view_dependence) rn_forward<2, WT>(n, forward, in, out);
         for (int c = 0; c < 3; c++)
-            colour[c] = rn_column(out, c);
+            colour[c] = rn_column(out[0], c);
         if constexpr (!TRAIN) {
             rn_shade_pixel(&batch, &march, own, colour);
         } else {
             struct rn_ray_gradient g = rn_ray_gradient(&batch, &march, own, colour);
-            float sums_grad[2][4] = {};
+            float sums_grad[1][2][4] = {};
             if (scene.view_dependence) {
                 struct rn_cuda_scratch scratch = rn_scratch(n, batch.scratch, batch.tile_capacity);
-                uint32_t grad[1][4], x[WT][4];
-                rn_keep_rows(in, rn_ballot(g.takes_part));
-                rn_colour_fragment(g.colour, grad);
-                bad |= rn_backward<2, WT>(n, forward, backward, &scratch, tile, in, grad, x);
+                uint32_t grad[1][1][4], x[1][WT][4];
+                rn_keep_rows(in[0], rn_ballot(g.takes_part));
+                rn_colour_fragment(g.colour, grad[0]);
+                bad |=
+                    rn_backward<2, WT, false>(n, forward, backward, &scratch, tile, 1, in, grad, x);
                 rn_last_layer<WT>(x, backward + WT * RN_LANES, sums_grad);
             }
             __syncwarp(); // all lanes have read their sums
-            rn_store_sums_grad(&batch, tile, &g, sums_grad);
+            rn_store_sums_grad(&batch, tile, &g, sums_grad[0]);
         }
     }
     if (rn_ballot(bad) && RN_LANE == 0) batch.status->rejected = 1;

@@ -93,6 +93,7 @@ static inline size_t rn_device_used_words(uint64_t pixels) {
 struct rn_device_training {
     bool deterministic; // the same bytes every time, at a price (cuda/README.md)
     bool last_on_chip; // likewise: where the last layer's gradient of the density network is summed
+    bool two_tiles;    // likewise: warps take two tiles at a time; the numbers are the same
     int next_rays;
     int64_t step, updates;
     float gradient_scale; // a power of two; 0: as at the start

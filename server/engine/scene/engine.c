@@ -81,6 +81,7 @@ enum rn_status rn_engine_create(const struct rn_engine_options *options,
     fill_info(e);
     e->deterministic = options->deterministic;
     e->last_on_chip = options->last_on_chip;
+    e->two_tiles = options->two_tiles;
     e->device_memory_bytes = options->device_memory_bytes;
     bool named = strcmp(kernels, "auto") != 0; // a kernel set of the CPU's
     if (strcmp(device, "cpu") != 0 && !(named && strcmp(device, "auto") == 0))

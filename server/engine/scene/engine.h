@@ -27,6 +27,9 @@ struct rn_engine_options {
     // A GPU sums the gradient of the density network's last layer beside its backward: another
     // order of the sums. Which is quicker is not known; tests/bench/cuda times both.
     bool last_on_chip;
+    // Its warps take two tiles of 16 samples at a time through the backward: the same bytes.
+    // Likewise.
+    bool two_tiles;
 };
 struct rn_device_info {
     char device[16];     // "cpu", "cuda:0"

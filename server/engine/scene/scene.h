@@ -35,6 +35,7 @@ struct rn_engine {
     size_t device_memory_bytes; // that fields may take of it; 0 = what is free
     bool deterministic;         // what a device trains
     bool last_on_chip;          // likewise
+    bool two_tiles;             // likewise
     bool device_optional;       // what the device cannot do, the CPU does
 };
 

@@ -93,6 +93,7 @@ static enum rn_status put_training(struct rn_trainer *t, struct rn_error *err) {
     rn_trainer_take_march(t);
     struct rn_device_training training = {.deterministic = t->engine->deterministic,
                                           .last_on_chip = t->engine->last_on_chip,
+                                          .two_tiles = t->engine->two_tiles,
                                           .next_rays = t->next_rays,
                                           .step = t->progress.step,
                                           .updates = t->optimiser.updates,
