@@ -363,9 +363,75 @@ START_TEST(leaves_to_the_cpu_what_is_listed) {
 }
 END_TEST
 
+// A validation's photographs are rendered in one call as far as they are alike and not too many
+// pixels: the figure is, to the last bit, that of one after the other and of rows of them.
+START_TEST(photographs_are_validated_together) {
+    struct rn_train_config config = small_config("standard", 4);
+    run_begin("cuda:0", &config);
+    struct rn_trainer *t = run.trainer;
+    struct rn_pixel_frame *frames = t->held.frames;
+    int count = t->held.frame_count, rows = frames->camera.height;
+    double sum = 0;
+    ck_assert_int_ge(count, 4);
+    run_to(4);
+    count_calls(rn_trainer_field(t));
+    counter.calls = 0;
+    run_validate();
+    ck_assert(counter.calls == 1 && counter.cameras == count);
+    for (int i = 0; i < count; i++) {
+        double alone = 0, parts = 0, used = (double)rn_pixels_used(&t->held, &frames[i]);
+        OK(rn_trainer_validate_rows(t, i, 1, 0, rows, &alone, &err));
+        OK(rn_trainer_validate_rows(t, i, 1, 0, rows - 3, &parts, &err));
+        OK(rn_trainer_validate_rows(t, i, 1, rows - 3, 3, &parts, &err));
+        ck_assert(alone > 0 && alone == parts);
+        sum += -10 * log10(alone / (3 * used));
+    }
+    ck_assert(run.progress.psnr == sum / count);
+    // What does not go with the others, and what does not go at all.
+    const struct rn_camera camera = frames[2].camera;
+    ck_assert_int_eq(rn_trainer_validate_together(t, 1), count - 1);
+    frames[2].camera.width /= 2;
+    ck_assert_int_eq(rn_trainer_validate_together(t, 0), 2);
+    ck_assert_int_eq(rn_trainer_validate_together(t, 2), 1);
+    frames[2].camera.width = frames[2].camera.height = 300;
+    ck_assert_int_eq(rn_trainer_validate_together(t, 2), 0);
+    frames[2].camera = camera;
+    rn_trainer_field(t)->backend = counter.counted;
+    run_end();
+}
+END_TEST
+
+// Photographs of more pixels than a call takes: rows of them, nothing left out.
+START_TEST(large_photographs_are_validated_by_rows) {
+    struct rn_train_config config = small_config("draft", 2);
+    double sum = 0;
+    run_begin("cuda:0", &config);
+    struct rn_trainer *t = run.trainer;
+    int rows = t->held.frames->camera.height;
+    run_to(2);
+    ck_assert_int_eq(rn_trainer_validate_together(t, 0), 0);
+    count_calls(rn_trainer_field(t));
+    counter.calls = 0;
+    t->held.frame_count = 1; // the emulator's time
+    run_validate();
+    ck_assert_int_eq(counter.calls, (rows + 63) / 64);
+    OK(rn_trainer_validate_rows(t, 0, 1, 0, rows, &sum, &err));
+    sum = -10 * log10(sum / (3 * (double)rn_pixels_used(&t->held, t->held.frames)));
+    ck_assert_double_eq(run.progress.psnr, sum);
+    rn_trainer_field(t)->backend = counter.counted;
+    run_end();
+}
+END_TEST
+
+static void make_large(void) {
+    make_dataset_sized("sphere", 260);
+}
+
 void device_add_pictures(Suite *suite) {
     device_add(suite, "leaves", leaves_to_the_cpu_what_is_listed);
     device_add(suite, "together", pictures_are_made_together);
+    device_add(suite, "validates", photographs_are_validated_together);
+    device_add_with(suite, "validates", large_photographs_are_validated_by_rows, make_large);
     device_add(suite, "renders", renders_while_it_trains);
     device_add(suite, "rest", reads_the_cells_of_a_field_at_rest);
 }

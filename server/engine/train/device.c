@@ -136,29 +136,50 @@ enum rn_status rn_trainer_put(struct rn_trainer *t, struct rn_error *err) {
     return status;
 }
 
-enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, const struct rn_pixel_frame *frame,
-                                        int row, int rows, double *ret_squares,
-                                        struct rn_error *err) {
+int rn_trainer_validate_together(const struct rn_trainer *t, int first) {
+    const struct rn_pixel_frame *frame = &t->held.frames[first];
+    int width = frame->camera.width, height = frame->camera.height, count = 0;
+    int cones = rn_cones_for_camera(t->field, &frame->camera);
+    bool straight = rn_field_averages_straight(t->field, frame->frame);
+    size_t all = (size_t)width * (size_t)height * (size_t)cones * (size_t)cones;
+    while (first + count < t->held.frame_count && count < RN_DEVICE_CAMERAS &&
+           all * (size_t)(count + 1) <= RN_VALIDATE_CONES) {
+        const struct rn_pixel_frame *f = &t->held.frames[first + count];
+        if (f->camera.width != width || f->camera.height != height) break;
+        if (rn_cones_for_camera(t->field, &f->camera) != cones) break;
+        if (rn_field_averages_straight(t->field, f->frame) != straight) break;
+        count++;
+    }
+    return count;
+}
+
+enum rn_status rn_trainer_validate_rows(struct rn_trainer *t, int first, int count, int row,
+                                        int rows, double *ret_squares, struct rn_error *err) {
     const struct rn_train_config *config = &t->field->config;
-    const struct rn_camera *camera = &frame->camera;
-    size_t width = (size_t)camera->width, n = width * (size_t)rows;
+    const struct rn_pixel_frame *frames = &t->held.frames[first];
+    struct rn_camera cameras[RN_DEVICE_CAMERAS];
+    for (int i = 0; i < count; i++)
+        cameras[i] = frames[i].camera;
+    size_t width = (size_t)cameras->width, each = width * (size_t)rows;
     struct rn_march_options march = rn_effects_march_pictures(t->field);
-    const struct rn_device_view view = {.cameras = camera,
-                                        .camera_count = 1,
-                                        .cones = rn_cones_for_camera(t->field, camera),
+    const struct rn_device_view view = {.cameras = cameras,
+                                        .camera_count = count,
+                                        .cones = rn_cones_for_camera(t->field, cameras),
                                         .halves = true};
-    const struct rn_device_places places = {.first = (uint32_t)row * (uint32_t)width, .count = n};
+    const struct rn_device_places places = {.first = (uint32_t)row * (uint32_t)width,
+                                            .count = each * (size_t)count};
     uint64_t samples;
-    struct rn_pixel *pixels = malloc(n * sizeof *pixels);
+    struct rn_pixel *pixels = malloc(places.count * sizeof *pixels);
     if (!pixels) return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
-    march.straight = rn_field_averages_straight(t->field, frame->frame);
+    march.straight = rn_field_averages_straight(t->field, frames->frame);
     enum rn_status status =
         rn_cones_render_there(t->field, &march, &view, &places, pixels, &samples, err);
-    for (size_t i = 0; i < n && status == RN_OK; i++) {
-        int x = (int)(i % width), y = row + (int)(i / width);
+    for (size_t i = 0; i < places.count && status == RN_OK; i++) {
+        const struct rn_pixel_frame *frame = &frames[i / each];
+        int x = (int)(i % width), y = row + (int)(i % each / width);
         if (rn_pixel_is_used(&t->held, frame, x, y))
             rn_pixel_add_error(&t->held, frame, x, y, config->background, pixels[i].rgb,
-                               ret_squares);
+                               &ret_squares[i / each]);
     }
     free(pixels);
     return status;

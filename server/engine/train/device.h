@@ -21,10 +21,14 @@ struct rn_device_state {
 enum rn_status rn_trainer_put(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
 // What is trained from there: parameters, moments, what cells showed, errors of blocks.
 enum rn_status rn_trainer_fetch(struct rn_trainer *trainer, struct rn_error *err) RN_MUST_CHECK;
-// Adds the squared errors of `rows` rows of a held-out frame, rendered there.
-enum rn_status rn_trainer_validate_rows(struct rn_trainer *trainer,
-                                        const struct rn_pixel_frame *frame, int row, int rows,
-                                        double *ret_squares, struct rn_error *err) RN_MUST_CHECK;
+// How many of the held-out frames from `first` on go there in one call, all their pixels: 0 when
+// already the first one's are too many.
+int rn_trainer_validate_together(const struct rn_trainer *trainer, int first);
+// Adds the squared errors of `rows` rows of `count` held-out frames, one number a frame, rendered
+// there in one call. More than one are whole and go together.
+enum rn_status rn_trainer_validate_rows(struct rn_trainer *trainer, int first, int count, int row,
+                                        int rows, double *ret_squares,
+                                        struct rn_error *err) RN_MUST_CHECK;
 // A few steps there. As on the CPU, training goes back to its last good parameters, here those of
 // the last save or growth, when no step could be taken 40 times in a row; a rejected step by itself
 // is how the gradients' scale is found, and told as no incident.

@@ -57,16 +57,34 @@ static void finish_frame(struct rn_trainer *t) {
     rn_pixels_let_go(&t->held);
 }
 
-static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
+// Rows of a frame that is too large for one call.
+static enum rn_status validate_part(struct rn_trainer *t, struct rn_error *err) {
     struct rn_validation *v = &t->validation;
     const struct rn_pixel_frame *frame = &t->held.frames[v->frame];
     int width = frame->camera.width, height = frame->camera.height;
     int row = (int)(v->pixel / (size_t)width), rows = height - row < 64 ? height - row : 64;
-    enum rn_status status = rn_trainer_validate_rows(t, frame, row, rows, &v->sum.squares, err);
+    enum rn_status status =
+        rn_trainer_validate_rows(t, v->frame, 1, row, rows, &v->sum.squares, err);
     v->pixel += (size_t)rows * (size_t)width;
     if (row + rows < height) return status;
     v->sum.pixels = rn_pixels_used(&t->held, frame);
     finish_frame(t);
+    return status;
+}
+
+// Small frames do not fill a device: as many as do in one call.
+static enum rn_status validate_on_device(struct rn_trainer *t, struct rn_error *err) {
+    struct rn_validation *v = &t->validation;
+    int first = v->frame, count = rn_trainer_validate_together(t, first);
+    double squares[RN_DEVICE_CAMERAS] = {0};
+    if (count == 0) return validate_part(t, err);
+    int height = t->held.frames[first].camera.height;
+    enum rn_status status = rn_trainer_validate_rows(t, first, count, 0, height, squares, err);
+    for (int i = 0; i < count && status == RN_OK; i++) {
+        v->sum.squares = squares[i];
+        v->sum.pixels = rn_pixels_used(&t->held, &t->held.frames[first + i]);
+        finish_frame(t);
+    }
     return status;
 }
 

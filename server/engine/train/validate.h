@@ -10,6 +10,8 @@
 
 #define RN_VALIDATE_BLOCK 4096 // pixels a block
 #define RN_VALIDATE_LEAST 8    // of it, a piece, at least
+// Cones of one call of a device, at most: half of a launch, as a picture waits for its end.
+#define RN_VALIDATE_CONES (1 << 16)
 
 // Pixels of one of `views` that a round renders, at most: of larger ones every second, third, ...
 // along both axes, so that photographs of 12 megapixels take no longer than these. The last figure
