@@ -174,11 +174,14 @@ RN_DEVICE void rn_leave_empty(const struct rn_cuda_batch *b, int r) {
         b->ray_sums[(size_t)r * RN_GEOMETRY + i] = 0;
 }
 
-// One thread a ray; those that may see something are queued for the forward.
+// One thread a ray; those that may see something are queued for the forward. The rays of
+// the paper's step are 83 blocks, fewer than there are processors: a thread may have more registers
+// than would let two blocks share one.
 template <int WORLD>
-__global__ void __launch_bounds__(256) rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
-                                                      const __grid_constant__ rn_cuda_scene scene,
-                                                      const __grid_constant__ rn_cuda_batch batch) {
+__global__ void __launch_bounds__(256, 1)
+    rn_rays_kernel(const __grid_constant__ rn_cuda_source source,
+                   const __grid_constant__ rn_cuda_scene scene,
+                   const __grid_constant__ rn_cuda_batch batch) {
     int r = (int)(blockIdx.x * blockDim.x + threadIdx.x), tiles = 0, block;
     if (r < batch.status->ray_count) {
         struct rn_march_ray ray =
