@@ -269,7 +269,7 @@ START_TEST(two_tiles_give_the_bytes_of_one) {
     if (_i == 1) config.field.shading = RN_SHADING_RAY;
     if (_i == 2) config.field.base_layers = 3;
     if (_i == 3) config.field.space = RN_SPACE_UNBOUNDED;
-    if (_i == 4) rn_emulator_shared(20 << 10);
+    if (_i == 4) rn_emulator_shared(8 << 10);
     for (int rays = _i < 2 ? 6 : 24; rays < RAYS && !(alone && paired); rays++) {
         check_tiles(&config, rays, &returned);
         ck_assert_uint_gt(returned, 20);
