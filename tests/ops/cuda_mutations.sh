@@ -383,5 +383,11 @@ mutate_engine memory scene/device.c "engine: memory taken without asking" \
     's/enum rn_status status = make_room(.*/enum rn_status status = RN_OK;/'
 mutate_engine auto scene/device.c "engine: auto insists" \
     's/if (engine->device_optional \&\& /if (0 \&\& /'
+# A training's validation.
+mutate_engine validates train/device.c "validation: photographs of any size in one call" 's/if (f->camera.width != width || f->camera.height != height) break;//'
+mutate_engine validates train/device.c "validation: errors of all photographs in the first" 's/\&ret_squares\[i \/ each\]/ret_squares/'
+mutate_engine validates train/device.c "validation: rows of the first part" 's/y = row + (int)(i % each/y = (int)(i % each/'
+mutate_engine validates train/device.c "validation: no look at how many cones there are" 's/all \* (size_t)(count + 1) <= RN_VALIDATE_CONES/all > 0/'
+mutate_engine validates train/validate.c "validation: the last photograph left out" 's/for (int i = 0; i < count \&\& status/for (int i = 0; i + 1 < count \&\& status/'
 
 conclude
