@@ -278,9 +278,10 @@ class Held:
         for file in set(self.folder.glob("held.*")) - self.seen:
             wait_for(lambda: not self.is_running(file))  # pylint: disable=cell-var-from-loop
             *places, last = file.read_text().splitlines() or [""]
+            if self.waits or last == "whole":
+                self.seen.add(file)  # once: another process may have its number later
             if last != "whole":
                 continue  # it was killed, or goes on
-            self.seen.add(file)
             more = Counter(places) - self.usual
             if self.learns:
                 self.usual += more
