@@ -6,20 +6,12 @@
 #define SEQUENCE_HEADER 1
 #define MOST_LEVEL_WITHOUT_TIER 7
 
-// uvlc (4.10.3).
-static void skip_number(struct rn_bits *from) {
-    int zeros = 0;
-    while (zeros < 32 && !rn_bits_take(from, 1))
-        zeros++;
-    if (zeros < 32) (void)rn_bits_take(from, zeros);
-}
-
 // Returns the bits of a decoder's delays; 0: there are none.
 static int skip_timing(struct rn_bits *from) {
     if (!rn_bits_take(from, 1)) return 0;
     (void)rn_bits_take(from, 32);
     (void)rn_bits_take(from, 32);
-    if (rn_bits_take(from, 1)) skip_number(from);
+    if (rn_bits_take(from, 1)) (void)rn_bits_take_number(from);
     if (!rn_bits_take(from, 1)) return 0;
     int delays = (int)rn_bits_take(from, 5) + 1;
     (void)rn_bits_take(from, 32);

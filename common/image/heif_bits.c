@@ -16,3 +16,11 @@ unsigned rn_bits_take(struct rn_bits *from, int count) {
         value = value << 1 | take_bit(from);
     return value;
 }
+
+uint32_t rn_bits_take_number(struct rn_bits *from) {
+    int zeros = 0;
+    while (zeros < 32 && !rn_bits_take(from, 1))
+        zeros++;
+    if (zeros == 32) return UINT32_MAX;
+    return (uint32_t)(((uint64_t)1 << zeros) - 1 + rn_bits_take(from, zeros));
+}

@@ -26,6 +26,10 @@ struct rn_bits {
 // Of 0 to 32 bits; zeros beyond the end.
 unsigned rn_bits_take(struct rn_bits *from, int count);
 
+// A number of as many bits as zeros say that stand before it: ue(v) of ITU-T H.265, 9.2, uvlc of
+// AV1, 4.10.3. UINT32_MAX where it takes more than 32 bits.
+uint32_t rn_bits_take_number(struct rn_bits *from);
+
 // The size for which a decoder of HEVC makes room, by a sequence parameter set (ITU-T H.265,
 // 7.3.2.2): a unit of the stream, its header of two bytes first. False for units of other types,
 // and where it is cut off.

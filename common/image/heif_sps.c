@@ -7,15 +7,6 @@
 #define SUB_LAYER_TIER 88
 #define SUB_LAYER_LEVEL 8
 
-// ue(v) of ITU-T H.265, 9.2; UINT32_MAX where it takes more than 32 bits.
-static uint32_t take_number(struct rn_bits *from) {
-    int zeros = 0;
-    while (zeros < 32 && !rn_bits_take(from, 1))
-        zeros++;
-    if (zeros == 32) return UINT32_MAX;
-    return (uint32_t)(((uint64_t)1 << zeros) - 1 + rn_bits_take(from, zeros));
-}
-
 // Without the bytes that keep a start code from standing in it (7.3.1.1).
 static void unescape(struct rn_span unit, struct rn_bits *ret_bits) {
     size_t count = 0;
@@ -49,9 +40,10 @@ bool rn_hevc_size(struct rn_span unit, struct rn_extent *ret_size) {
     unsigned layers = rn_bits_take(&bits, 3);
     (void)rn_bits_take(&bits, 1);
     skip_levels(&bits, layers);
-    (void)take_number(&bits);
-    if (take_number(&bits) == 3) (void)rn_bits_take(&bits, 1); // planes of 4:4:4 may be coded apart
-    uint32_t width = take_number(&bits), height = take_number(&bits);
+    (void)rn_bits_take_number(&bits);
+    if (rn_bits_take_number(&bits) == 3)
+        (void)rn_bits_take(&bits, 1); // planes of 4:4:4 may be coded apart
+    uint32_t width = rn_bits_take_number(&bits), height = rn_bits_take_number(&bits);
     *ret_size = (struct rn_extent){width, height};
     return bits.at <= bits.count;
 }

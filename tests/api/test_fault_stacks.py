@@ -264,7 +264,7 @@ class Held:
 
     def __init__(self, build, faults, program, folder):
         library = build / "tests" / "support" / "ripnerf-held.so"
-        self.folder, self.faults, self.usual, self.seen, self.learns = folder, faults, Counter(), set(), True
+        self.folder, self.faults, self.usual, self.learns = folder, faults, Counter(), True
         if library.is_file():  # no sanitizer counts
             faults.environment |= {"LD_PRELOAD": f"{library}:{faults.environment['LD_PRELOAD']}",
                                    "RIPNERF_HELD": str(folder / "held"), "RIPNERF_HELD_OF": program}
@@ -275,11 +275,11 @@ class Held:
 
     def check(self):
         """Not more than one of those of a life without failures, the first: what libraries keep for good."""
-        for file in set(self.folder.glob("held.*")) - self.seen:
+        for file in list(self.folder.glob("held.*")):
             wait_for(lambda: not self.is_running(file))  # pylint: disable=cell-var-from-loop
             *places, last = file.read_text().splitlines() or [""]
             if self.waits or last == "whole":
-                self.seen.add(file)  # once: another process may have its number later
+                file.unlink()  # another process may have its number later
             if last != "whole":
                 continue  # it was killed, or goes on
             more = Counter(places) - self.usual

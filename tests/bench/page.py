@@ -9,8 +9,9 @@ runs. A line each: pictures a second, milliseconds from an input to the picture 
 percentile; of these, waiting, rendering and encoding in the daemon; and the input's age when it is sent,
 its way to the daemon and back, decoding and drawing), pixels of the pictures, how near they are to their
 own full picture (PSNR of some three dozen: the least, the tenth percentile, the median), and milliseconds
-from the last input to the refined picture. Before that the first and the refined picture of a page that is opened anew; after it the page's
-memory before and after `--memory` seconds of dragging and of going to the other views and back, collected.
+from the last input to the refined picture. Before that the first and the refined picture of a page that is
+opened anew; after it the page's memory before and after `--memory` seconds of dragging and of going to the
+other views and back, collected.
 """
 
 import argparse
