@@ -45,6 +45,9 @@ struct rn_frame {
     struct rn_backdrop backdrop; // the same for all of a dataset's
     double gain[3];   // how bright its stored values are against the other photographs', by
                       // channel; 0: not measured
+    double light;     // by how much points look brighter or darker in it than in the photograph
+                      // whose camera looks most nearly the same way, their exposures left out:
+                      // median of the logarithms; 0: not measured
     int photo;        // which photograph it is of, for struct rn_sighting
     double near, far; // along the optical axis, dataset units, as the source gives or its points
                       // say; 0: not known

@@ -12,6 +12,7 @@
 #define NEAR 0.02  // differences of logarithms below it weigh as if they were it
 #define PRIOR 150  // weight of "no difference", as three exact sightings
 #define MOST 2000  // photographs compared with all
+#define NEAREST 8  // of those that look most nearly the same way, whose points are compared
 
 // A colour that a photograph shows of a point: logarithms; NAN where it is unusable.
 struct colour {
@@ -169,6 +170,72 @@ static void give(const struct rn_exposures *e, int c, const double *photos, stru
                                 : exp(frames[f].gain[c] - mean / (double)(measured ? measured : 1));
 }
 
+// How nearly two cameras look the same way: 1 where they do.
+static double along(const struct rn_frame *a, const struct rn_frame *b) {
+    double sum = 0;
+    for (int i = 0; i < 3; i++)
+        sum += a->camera.world_from_camera[i][2] * b->camera.world_from_camera[i][2];
+    return sum;
+}
+
+// The other measured frames that look most nearly the same way, the nearest first.
+static int nearest_of(const struct rn_frame *frames, size_t frame_count, const struct rn_frame *as,
+                      const struct rn_frame *ret[NEAREST]) {
+    int count = 0;
+    for (const struct rn_frame *f = frames; f < frames + frame_count; f++) {
+        if (f == as || f->scale != as->scale || !(f->gain[0] > 0)) continue;
+        int at = count < NEAREST ? count++ : NEAREST;
+        for (; at > 0 && along(ret[at - 1], as) < along(f, as); at--)
+            if (at < NEAREST) ret[at] = ret[at - 1];
+        if (at < NEAREST) ret[at] = f;
+    }
+    return count;
+}
+
+// Of the points that both show, the median distance of their difference in brightness from the
+// median difference, logarithms; NAN where they share too few. of_point: the one photograph's.
+static double light_apart(const struct rn_exposures *e, const float *of_point, size_t photo,
+                          double *room) {
+    size_t count = 0;
+    for (size_t i = e->first[photo]; i < e->first[photo + 1]; i++) {
+        const struct colour *c = &e->colours[i];
+        double apart = (double)((c->log[0] + c->log[1] + c->log[2]) / 3 - of_point[c->point]);
+        if (!isnan(apart)) room[count++] = apart;
+    }
+    if (count < RN_EXPOSURE_SIGHTINGS) return NAN;
+    double median = rn_numbers_median(room, count);
+    for (size_t i = 0; i < count; i++)
+        room[i] = fabs(room[i] - median);
+    return rn_numbers_median(room, count);
+}
+
+static void compare_light(const struct rn_exposures *e, struct rn_frame *frames,
+                          size_t frame_count) {
+    size_t points = e->dataset->points.count, stride = frame_count / MOST + 1;
+    float *of_point = malloc(points * sizeof *of_point);
+    double *room = malloc((e->count + 1) * sizeof *room);
+    const struct rn_frame *nearest[NEAREST];
+    for (size_t p = 0; p < points && of_point; p++)
+        of_point[p] = NAN;
+    for (size_t f = 0; f < frame_count && of_point && room; f += stride) {
+        size_t photo = (size_t)frames[f].photo;
+        if (frames[f].scale != 0 || !(frames[f].gain[0] > 0)) continue;
+        int count = nearest_of(frames, frame_count, &frames[f], nearest);
+        for (size_t i = e->first[photo]; i < e->first[photo + 1]; i++) {
+            const float *log = e->colours[i].log;
+            of_point[e->colours[i].point] = (log[0] + log[1] + log[2]) / 3;
+        }
+        double apart = NAN;
+        for (int n = 0; n < count && isnan(apart); n++)
+            apart = light_apart(e, of_point, (size_t)nearest[n]->photo, room);
+        frames[f].light = isnan(apart) ? 0 : apart;
+        for (size_t i = e->first[photo]; i < e->first[photo + 1]; i++)
+            of_point[e->colours[i].point] = NAN;
+    }
+    free(of_point);
+    free(room);
+}
+
 void rn_exposures_solve(struct rn_exposures *e, struct rn_frame *frames, size_t frame_count) {
     if (!e) return;
     size_t photos = e->photo_count, points = e->dataset->points.count;
@@ -182,6 +249,7 @@ void rn_exposures_solve(struct rn_exposures *e, struct rn_frame *frames, size_t 
         give(e, c, photo.value, frames, frame_count);
     }
     free(block);
+    compare_light(e, frames, frame_count);
 }
 
 // Logarithm of a frame's mean gain; it was measured.
@@ -205,32 +273,25 @@ double rn_exposure_spread(const struct rn_frame *frames, size_t frame_count) {
     return spread;
 }
 
-// Of the same scale, and another photograph; NULL where there is none.
-static const struct rn_frame *looks_the_same_way(const struct rn_frame *frames, size_t frame_count,
-                                                 const struct rn_frame *as) {
-    const struct rn_frame *best = NULL;
-    double most = -2;
-    for (const struct rn_frame *f = frames; f < frames + frame_count; f++) {
-        double along = 0;
-        if (f == as || f->scale != as->scale || !(f->gain[0] > 0)) continue;
-        for (int i = 0; i < 3; i++)
-            along += f->camera.world_from_camera[i][2] * as->camera.world_from_camera[i][2];
-        if (along <= most) continue;
-        most = along;
-        best = f;
-    }
-    return best;
-}
-
 double rn_exposure_unrest(const struct rn_frame *frames, size_t frame_count) {
     size_t count = 0, stride = frame_count / MOST + 1;
     double *apart = malloc((frame_count / stride + 1) * sizeof *apart);
     for (size_t f = 0; f < frame_count && apart; f += stride) {
-        const struct rn_frame *other = looks_the_same_way(frames, frame_count, &frames[f]);
-        if (frames[f].gain[0] > 0 && other)
-            apart[count++] = fabs(brightness(&frames[f]) - brightness(other));
+        const struct rn_frame *nearest[NEAREST];
+        if (frames[f].gain[0] > 0 && nearest_of(frames, frame_count, &frames[f], nearest) > 0)
+            apart[count++] = fabs(brightness(&frames[f]) - brightness(nearest[0]));
     }
     double unrest = most_of(apart, count);
+    free(apart);
+    return unrest;
+}
+
+double rn_light_unrest(const struct rn_frame *frames, size_t frame_count) {
+    double *apart = malloc((frame_count + 1) * sizeof *apart);
+    size_t count = 0;
+    for (size_t f = 0; f < frame_count && apart; f++)
+        if (frames[f].light > 0) apart[count++] = frames[f].light;
+    double unrest = count > 1 ? exp(rn_numbers_median(apart, count)) - 1 : NAN;
     free(apart);
     return unrest;
 }

@@ -249,12 +249,14 @@ static json_t *frame_to_json(const struct rn_frame *frame, bool with_points, con
     json_t *far = frame->far > 0 ? json_real(frame->far) : NULL;
     const double *g = frame->gain;
     json_t *gain = g[0] > 0 ? json_pack("[fff]", g[0], g[1], g[2]) : NULL;
+    json_t *light = frame->light > 0 ? json_real(frame->light) : NULL;
     const char *mask = frame->mask_path ? frame->mask_path + strlen(target) + 1 : NULL;
-    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o* s:s* s:o* s:o*}", "name", frame->name,
-                     "file", frame->path + strlen(target) + 1, "split", rn_split_name(frame->split),
-                     "index", frame->index, "scale", frame->scale, "loss_weight",
-                     frame->loss_weight, "camera", rn_json_from_camera(&frame->camera), "near",
-                     near, "far", far, "mask", mask, "photo", photo, "gain", gain);
+    return json_pack("{s:s s:s s:s s:i s:i s:f s:o s:o* s:o* s:s* s:o* s:o* s:o*}", "name",
+                     frame->name, "file", frame->path + strlen(target) + 1, "split",
+                     rn_split_name(frame->split), "index", frame->index, "scale", frame->scale,
+                     "loss_weight", frame->loss_weight, "camera",
+                     rn_json_from_camera(&frame->camera), "near", near, "far", far, "mask", mask,
+                     "photo", photo, "gain", gain, "light", light);
 }
 
 static json_t *lie_to_json(const struct rn_lie *lie) {

@@ -39,6 +39,13 @@ static enum rn_status read_gain(const struct rn_json *object, struct rn_frame *f
     return status;
 }
 
+static enum rn_status read_light(const struct rn_json *object, struct rn_frame *frame,
+                                 struct rn_error *err) {
+    struct rn_json at;
+    if (!rn_json_find(object, "light", &at)) return RN_OK;
+    return rn_json_number(object, "light", 0, 10, &frame->light, err);
+}
+
 static enum rn_status read_points(struct rn_reader *reader, const struct rn_json *root,
                                   struct rn_error *err) {
     struct rn_json at;
@@ -59,7 +66,7 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
                                  struct rn_frame *frame, struct rn_error *err) {
     static const char *const known[] = {"name",        "file",   "split", "index", "scale",
                                         "loss_weight", "camera", "near",  "far",   "mask",
-                                        "photo",       "gain",   NULL};
+                                        "photo",       "gain",   "light", NULL};
     struct rn_json camera_at, photo_at;
     struct rn_camera camera;
     const char *name;
@@ -79,7 +86,7 @@ static enum rn_status read_frame(struct rn_reader *reader, const struct rn_json 
         return status;
     if ((status = read_depths(object, frame, err)) ||
         (status = read_mask(reader, object, frame, err)) ||
-        (status = read_gain(object, frame, err)) ||
+        (status = read_gain(object, frame, err)) || (status = read_light(object, frame, err)) ||
         (rn_json_find(object, "photo", &photo_at) &&
          (status =
               rn_json_integer(object, "photo", 0, RN_DATASET_MAX_FRAMES, &frame->photo, err)))) {

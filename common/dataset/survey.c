@@ -404,6 +404,13 @@ static void find_exposure(struct all *all, struct rn_survey *survey, struct rn_d
                         100 * spread,
                         unrest > RN_EXPOSURE_UNREST ? "; training makes them even (effect exposure)"
                                                     : "");
+    double light = rn_light_unrest(dataset->frames, dataset->frame_count);
+    if (light > RN_LIGHT_UNREST)
+        rn_problems_add(all->problems, RN_SEVERITY_INFO, dataset->name,
+                        "the light on shared points differs by %.0f %% from one photograph to the "
+                        "next, whatever their exposures: each has an appearance of its own in "
+                        "training (effect appearance)",
+                        100 * light);
 }
 
 // What effects of a training the cameras and masks call for, each with its number and from where on

@@ -14,6 +14,7 @@
     X(DISTORTION, distortion, "distortion")                                                        \
     X(MASKS, masks, "masks")                                                                       \
     X(EXPOSURE, exposure, "exposure")                                                              \
+    X(APPEARANCE, appearance, "appearance")                                                        \
     X(FORWARD_FACING, forward_facing, "forward-facing")                                            \
     X(UNBOUNDED, unbounded, "unbounded")                                                           \
     X(STRAIGHT_ALPHA, straight_alpha, "straight-alpha")                                            \

@@ -12,6 +12,7 @@
 
 #define RN_MAX_PLANES 16
 #define RN_MAX_LEVELS 10
+#define RN_APPEARANCE 7 // numbers of a photograph's code
 
 enum rn_orientation {        // where the planes' normals come from
     RN_ORIENTATION_PLATONIC, // 3, 4, 6, 10: vertices of the dual solid, antipodes merged
@@ -52,6 +53,8 @@ struct rn_field_config {
     int base_layers;      // hidden layers of the density network
     int head_layers;      // hidden layers of the colour network
     bool view_dependence; // false: the colour network does not see the direction
+    int appearances;      // photographs that have a code of their own for the colour network
+                          // (server/engine/field/mlp.h); 0: none has
     int occupancy;        // cells a side, a power of two, 16..256
 };
 
@@ -114,7 +117,7 @@ struct rn_train_config {
 
 // The one table: a row for every member of struct rn_train_config. What follows from it and the
 // presets is in preset.c.
-#define RN_TRAIN_SETTINGS (56 + RN_EFFECT_COUNT)
+#define RN_TRAIN_SETTINGS (57 + RN_EFFECT_COUNT)
 extern const struct rn_settings rn_train_settings;
 
 enum rn_preset_name { RN_PRESET_DRAFT, RN_PRESET_STANDARD, RN_PRESET_PAPER };

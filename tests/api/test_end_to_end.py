@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import re
 import shutil
@@ -85,7 +86,7 @@ def test_training_ends_with_its_figures(client, trained):
     assert end["psnr"] == scene["psnr"] > 8
     assert scene["state"] == "ready" and [effect["name"] for effect in scene["effects"]] == [
         "background", "scale-pyramid", "anisotropy", "view-dependence", "split-pixels", "cones",
-        "distortion", "masks", "exposure", "forward-facing", "unbounded", "straight-alpha",
+        "distortion", "masks", "exposure", "appearance", "forward-facing", "unbounded", "straight-alpha",
         "pose-refinement", "robust-loss", "downscaling"]
     assert all(effect["reason"] for effect in scene["effects"])
 
@@ -165,6 +166,33 @@ def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
     assert ImageChops.difference(picture("even", "even", 0), picture("even", "as-taken", 0)).getbbox() is None
     assert ImageChops.difference(picture("uncorrected", "even"),
                                  picture("uncorrected", "as-taken")).getbbox() is None
+
+
+def test_a_photograph_in_its_own_light(client, daemon):
+    """Where the light differs by the import's numbers, each photograph has an appearance of its own."""
+    client.run("synth", "sphere", "lit", "--size", 48, "--views", 8)
+    client.run("import", "lit", "--name", "plain-light")
+    record = client.json("show", "plain-light")
+    folder = daemon.folder / "datasets" / record["id"]
+    document = json.loads((folder / "dataset.json").read_text())
+    for frame in document["frames"]:
+        frame["light"] = 0.2
+    shutil.copytree(folder, client.cwd / "lights")
+    (client.cwd / "lights" / "dataset.json").write_text(json.dumps(document))
+    client.run("import", "lights", "--name", "light")
+    client.run("train", "light", "--name", "in-light", "--preset", "draft", "--max-steps", 60,
+               "--threads", 1, "--wait")
+    effect = {e["name"]: e for e in client.json("show", "in-light")["effects"]}["appearance"]
+    assert effect["on"] and abs(effect["number"] - 100 * (math.exp(0.2) - 1)) < 0.1, effect
+    assert "light on shared points" in effect["reason"]
+
+    def picture(colours):
+        client.run("render", "in-light", "--view", "train:1", "--colours", colours, "-o", "p.png")
+        return Image.open(client.cwd / "p.png").convert("RGB")
+
+    assert ImageChops.difference(picture("even"), picture("as-taken")).getbbox() is not None
+    told = client.json("eval", "in-light")
+    assert told["psnr"] > 8 and told["psnr_fitted"] > 8
 
 
 def test_photographs_that_stand_on_one_colour(client):

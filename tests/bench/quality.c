@@ -4,7 +4,7 @@
 //           [test=0] [split=test|train] [any training setting by its name: planes=3 width=64 ...]
 //           [device=auto|cpu|cuda|cuda:N] [deterministic=0] [memory=BYTES] [every=5] [goals=DB,DB]
 //           [out=PREFIX] [save=CHECKPOINT] [resume=CHECKPOINT] [wall=SECONDS] [cones=both|own|one]
-//           [fit=exposure|pose] [an effect by its name: robust-loss=auto|on|off ...]
+//           [fit=exposure|pose|appearance] [an effect by its name: robust-loss=auto|on|off ...]
 //
 // clock=cpu with threads=1 counts CPU seconds, for comparisons on a machine that is not idle.
 // A device that is named trains and renders everything or the program fails; memory= is what it may
@@ -13,7 +13,8 @@
 // with exit code 75, and what was trained saved: resume= goes on there, with that training's
 // settings. every=0 evaluates nothing on the way. cones= says how many a pixel of a test view has:
 // the scene's own number, one, or both. fit=exposure also scores each test view's halves with a
-// gain and an offset fitted on the other, fit=pose with its camera too. One line per held-out
+// gain and an offset fitted on the other, fit=pose with its camera too,
+// fit=appearance with its appearance (where the scene has such). One line per held-out
 // evaluation, one line per test scale. No test: a tool to measure with.
 #include <math.h>
 #include <stdio.h>
@@ -127,7 +128,9 @@ static bool set_option(struct run *run, const char *name, const char *value) {
     else if (strcmp(name, "cones") == 0)
         run->cones = strcmp(value, "own") == 0 ? 1 : strcmp(value, "one") == 0 ? 2 : 0;
     else if (strcmp(name, "fit") == 0)
-        run->fit = strcmp(value, "pose") == 0 ? RN_FIT_EXPOSURE | RN_FIT_POSE : RN_FIT_EXPOSURE;
+        run->fit = RN_FIT_EXPOSURE | (strcmp(value, "pose") == 0         ? RN_FIT_POSE
+                                      : strcmp(value, "appearance") == 0 ? RN_FIT_APPEARANCE
+                                                                         : 0);
     else if (strcmp(name, "every") == 0)
         run->every = atof(value);
     else if (strcmp(name, "clock") == 0)

@@ -155,7 +155,7 @@ static void harmonics(const double d[3], double ret[16]) {
     static float rows[RN_VL + 1][RN_HEAD_INPUTS];
     for (int i = 0; i < 3; i++)
         rows[RN_VL][i] = (float)d[i];
-    encode_directions(RN_VL + 1, rows[0]);
+    encode_directions(RN_VL + 1, RN_SH_COUNT, rows[0]);
     for (int i = 0; i < RN_SH_COUNT; i++)
         ret[i] = (double)rows[RN_VL][i];
 }

@@ -7,10 +7,11 @@
 #include "tests/support/suite.h"
 
 // What a scene of small photographs that alpha cuts out can have, at three scales.
-static const enum rn_effect possible[] = {
-    RN_EFFECT_BACKGROUND,      RN_EFFECT_SCALE_PYRAMID, RN_EFFECT_ANISOTROPY,
-    RN_EFFECT_VIEW_DEPENDENCE, RN_EFFECT_SPLIT_PIXELS,  RN_EFFECT_CONES,
-    RN_EFFECT_UNBOUNDED,       RN_EFFECT_DOWNSCALING,   RN_EFFECT_ROBUST_LOSS};
+static const enum rn_effect possible[] = {RN_EFFECT_BACKGROUND,   RN_EFFECT_SCALE_PYRAMID,
+                                          RN_EFFECT_ANISOTROPY,   RN_EFFECT_VIEW_DEPENDENCE,
+                                          RN_EFFECT_SPLIT_PIXELS, RN_EFFECT_CONES,
+                                          RN_EFFECT_UNBOUNDED,    RN_EFFECT_DOWNSCALING,
+                                          RN_EFFECT_ROBUST_LOSS,  RN_EFFECT_APPEARANCE};
 
 static bool is_possible(int effect) {
     for (size_t i = 0; i < sizeof possible / sizeof *possible; i++)

@@ -267,7 +267,36 @@ START_TEST(turns_go_on_to_the_same_bytes) {
 }
 END_TEST
 
+// ---- photographs in different light ---------------------------------------------------------
+
+// The CPU alone trains it; of what it trained, pictures are the same there.
+START_TEST(own_light_is_trained_here_and_shown_there) {
+    struct rn_train_config config = capture_config("standard", 24);
+    struct rn_error why;
+    config.effect[RN_EFFECT_APPEARANCE] = RN_EFFECT_WANTED;
+    run_begin("cpu", &config);
+    run_to(INT64_MAX);
+    ck_assert(run.trainer->field->effects[RN_EFFECT_APPEARANCE].on);
+    OK(rn_trainer_save(run.trainer, run.path, &err));
+    run_end();
+    double apart = compare_pictures("cpu", "cuda:0", 1);
+    printf("in the mean light, pictures %.1e apart\n", apart);
+    ck_assert_double_lt(apart, 5e-3);
+    run_begin("cuda:0", &config);
+    const struct rn_effect_record *r = &run.trainer->field->effects[RN_EFFECT_APPEARANCE];
+    ck_assert_msg(!r->on && strstr(r->reason, "--device cpu"), "%s", r->reason);
+    ck_assert_int_eq(run.trainer->field->config.field.appearances, 0);
+    run_end();
+    run.engine = engine_on("cuda:0");
+    ck_assert_int_eq(rn_trainer_restore(run.engine, run.dataset, run.path, 0, &run.trainer, &why),
+                     RN_ERROR_UNSUPPORTED);
+    ck_assert_str_eq(why.where, "appearance");
+    rn_engine_destroy(&run.engine);
+}
+END_TEST
+
 void device_add_captures(Suite *suite) {
+    device_add(suite, "light", own_light_is_trained_here_and_shown_there);
     device_add_with(suite, "masks", a_step_through_masks, make_masked);
     device_add_with(suite, "masked views", masked_views_are_scored, make_masked);
     device_add_with(suite, "outliers", a_step_past_outliers, make_larger);

@@ -352,6 +352,8 @@ START_TEST(leaves_to_the_cpu_what_is_listed) {
     }
     o = plain, o.crop = &crop;
     ck_assert(!renders_there(o, 1));
+    o = plain, o.appearance.own = true;
+    ck_assert(!renders_there(o, 1));
     o = plain, o.shot.optics.aperture = 0.1, o.shot.optics.focus = 3;
     ck_assert(!renders_there(o, 1));
     o = plain, o.shot.optics.ortho_height = 2;

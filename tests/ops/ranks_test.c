@@ -187,7 +187,7 @@ START_TEST(test_a_rank_a_group) {
 }
 END_TEST
 
-// Cells are kept by what they showed, to any rank.
+// Cells are kept by what they showed, to any rank, and each photograph has an appearance.
 START_TEST(test_a_place) {
     struct training one = {.dataset = dataset, .config = config_for(dataset), .ranks = 1};
     one.config.effect[RN_EFFECT_UNBOUNDED] = RN_EFFECT_WANTED;
@@ -195,6 +195,7 @@ START_TEST(test_a_place) {
     one.config.initial_rays = 64;
     one.config.target_samples = 2048;
     one.config.effect[RN_EFFECT_POSE_REFINEMENT] = RN_EFFECT_UNWANTED; // takes long
+    one.config.effect[RN_EFFECT_APPEARANCE] = RN_EFFECT_WANTED;
     struct training two = one;
     two.ranks = 2;
     expect_the_same(&one, &two);

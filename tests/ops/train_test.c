@@ -208,7 +208,7 @@ START_TEST(photographs_call_for_their_space) {
         as.bounds.source = i == 3 ? RN_BOUNDS_GIVEN : RN_BOUNDS_CAMERAS;
         if (i == 2) as.bounds.source = RN_BOUNDS_LAYOUT;
         if (i > 1) as.bounds.radius *= i == 2 ? 100 : 0.1; // all is in the ball; hardly anything
-        struct rn_bounds bounds = rn_effects_prepare(&as, &config, records);
+        struct rn_bounds bounds = rn_effects_prepare(&as, false, &config, records);
         bool on = i == 1 || i == 3;
         ck_assert(r->decided && r->on == on && (r->number > r->threshold) == on);
         ck_assert_ptr_nonnull(strstr(r->reason, i < 2 ? "quarter" : "dataset's ball"));
@@ -233,7 +233,7 @@ START_TEST(what_was_asked_for_stays_in_all_of_space) {
     config.occupancy_limit = 0.25;
     config.distortion_loss = 0.125;
     config.target_samples = 5000;
-    rn_effects_prepare(dataset, &config, records);
+    rn_effects_prepare(dataset, false, &config, records);
     ck_assert(config.field.space == RN_SPACE_UNBOUNDED);
     ck_assert_double_eq(config.step, 0.007);
     ck_assert_double_eq(config.stop, 0.5);

@@ -214,6 +214,10 @@ static bool without_lens(const struct rn_train_config *config) {
     return config->effect[RN_EFFECT_DISTORTION] == RN_EFFECT_UNWANTED;
 }
 
+struct rn_appearance rn_field_appearance(const struct rn_field *field, size_t photograph) {
+    return (struct rn_appearance){.own = false};
+}
+
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info) {
     *ret_info = (struct rn_field_info){.config = field->config,
                                        .bounds = field->bounds,

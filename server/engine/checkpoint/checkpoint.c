@@ -47,6 +47,15 @@ void rn_checkpoint_add_network(struct rn_tensor *list, int *count, const char *p
     }
 }
 
+void rn_checkpoint_add_appearances(struct rn_tensor *list, int *count,
+                                   const struct rn_field *field) {
+    const struct rn_parameters *p = &field->parameters;
+    if (!p->appearance_count) return;
+    rn_checkpoint_add(list, count, "appearances", "F32", 2,
+                      (size_t[]){p->appearance_count / RN_APPEARANCE, RN_APPEARANCE},
+                      p->values + p->count - p->appearance_count);
+}
+
 int rn_checkpoint_tensors(const struct rn_arrays *arrays,
                           struct rn_tensor list[RN_CHECKPOINT_TENSORS]) {
     const struct rn_field *field = arrays->field;
@@ -61,6 +70,7 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
                               p->values + p->plane_count);
     rn_checkpoint_add_network(list, &count, "head", &field->cpu.head_shape,
                               p->values + p->plane_count + p->base_count);
+    rn_checkpoint_add_appearances(list, &count, field);
     rn_checkpoint_add(list, &count, "occupancy", "F32", 3, (size_t[]){cells, cells, cells},
                       field->occupancy);
     rn_checkpoint_add(list, &count, "hull", "U8", 3, (size_t[]){cells, cells, cells}, field->hull);

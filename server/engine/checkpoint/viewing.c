@@ -70,6 +70,7 @@ static void list_tensors(const struct rn_field *field, int bits, struct stored *
     rn_checkpoint_add_network(list, n, "base", &field->cpu.base_shape, p->values + p->plane_count);
     rn_checkpoint_add_network(list, n, "head", &field->cpu.head_shape,
                               p->values + p->plane_count + p->base_count);
+    rn_checkpoint_add_appearances(list, n, field);
     rn_checkpoint_add(list, n, "cells", "U8", 1, &eighth, s->cells);
 }
 

@@ -81,9 +81,21 @@ RN_INLINE void store_some(float *to, v4 x, int n) {
 static const row16 activated = {0, 1, 1, 1}; // lanes of the geometry that went through the sigmoid
 static const row16 linear = {0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
 
+// Adds what the colour network's inputs ask of the appearance of a ray's photograph.
+static void append_appearance(const struct rn_cpu_field *field,
+                              const struct rn_march_options *options,
+                              const struct rn_march_ray *ray, const float *in_grad,
+                              struct rn_group *group) {
+    if (field->config->appearances == 0) return;
+    float *to = group->appearance_grad + rn_appearance_at(options, ray);
+    for (int i = 0; i < RN_APPEARANCE; i++)
+        to[i] += in_grad[RN_APPEARANCE_AT + i];
+}
+
 // Ray shading: dL/d(sums) of every ray through the head, then of its samples dL/dw and the size of
 // dL/d(geometry).
-static void backward_rays(const struct rn_cpu_field *field, int hits, const int16_t *hit,
+static void backward_rays(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                          const struct rn_march_ray *rays, int hits, const int16_t *hit,
                           const struct ray_sums *sums, float (*ray_slope)[4],
                           struct rn_workspace *w, struct rn_group *group, row16 *ret_ray_grad) {
     for (int j = 0; j < hits; j++) {
@@ -109,6 +121,7 @@ static void backward_rays(const struct rn_cpu_field *field, int hits, const int1
             for (int c = 0; c < 3; c++)
                 (*d)[1 + c] += in_grad[28 + c];
             (*d)[0] += in_grad[31];
+            append_appearance(field, options, &rays[hit[j]], in_grad, group);
         }
     }
     for (int s = 0; s < w->segment_count; s++) {
@@ -131,7 +144,9 @@ RN_INLINE row16 geometry_slope(row16 ray_grad, int i, const struct rn_workspace 
 }
 
 // Sample shading: the same, through a head per sample; `kept` rows of the head.
-static void backward_samples(const struct rn_cpu_field *field, int kept, float (*ray_slope)[4],
+static void backward_samples(const struct rn_cpu_field *field,
+                             const struct rn_march_options *options,
+                             const struct rn_march_ray *rays, int kept, float (*ray_slope)[4],
                              struct rn_workspace *w, struct rn_group *group) {
     memset(w->geometry_grad, 0, (size_t)w->count * RN_GEOMETRY * sizeof(float));
     for (int i = 0; i < w->count; i++)
@@ -152,6 +167,7 @@ static void backward_samples(const struct rn_cpu_field *field, int kept, float (
     memset(w->size, 0, (size_t)w->count * sizeof *w->size);
     for (int j = 0; j < kept; j++) {
         const float *grad = in_grad + (size_t)j * RN_HEAD_INPUTS + RN_SH_COUNT;
+        append_appearance(field, options, &rays[w->ray[w->kept[j]]], grad - RN_SH_COUNT, group);
         row16 row = *(const row16 *)grad;
         row[15] = 0; // of an input that is always 1
         w->size[w->kept[j]] = sqrtf(sum16(row * row));
@@ -349,9 +365,9 @@ static void train(const struct rn_cpu_field *field, const struct rn_march_option
     for (int r = 0; r < n; r += pixel)
         rays_loss(options, packet + r, pixel, seen + r, sums + r, rgb + r, ray_slope + r, group);
     if (per_ray)
-        backward_rays(field, hits, hit, sums, ray_slope, w, group, ray_grad);
+        backward_rays(field, options, packet, hits, hit, sums, ray_slope, w, group, ray_grad);
     else
-        backward_samples(field, kept, ray_slope, w, group);
+        backward_samples(field, options, packet, kept, ray_slope, w, group);
     packet_backward(field, options, packet, n, leveled, per_ray ? ray_grad : NULL, w, group);
 }
 

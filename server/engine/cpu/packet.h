@@ -256,9 +256,27 @@ static struct ray_sums sum_ray(int r, bool per_ray, const struct rn_workspace *w
 
 RN_SH_FUNCTION(sh_lanes, vf, float)
 
+_Static_assert(RN_APPEARANCE_AT + RN_APPEARANCE == RN_SH_COUNT, "the last harmonics make room");
+
+// Spherical harmonics that the colour network sees.
+static int sh_seen(const struct rn_cpu_field *field) {
+    return field->config->appearances > 0 ? RN_APPEARANCE_AT : RN_SH_COUNT;
+}
+
+// A photograph's appearance, where the field has such, among the colour network's inputs.
+static void put_appearance(const struct rn_cpu_field *field, const struct rn_march_options *options,
+                           const struct rn_march_ray *ray, float *in) {
+    size_t bytes = RN_APPEARANCE * sizeof *in;
+    if (field->config->appearances == 0) return;
+    if (options->appearances)
+        memcpy(in + RN_APPEARANCE_AT, options->appearances + rn_appearance_at(options, ray), bytes);
+    else
+        memset(in + RN_APPEARANCE_AT, 0, bytes);
+}
+
 // Of `n` rows of the colour network's inputs, the directions that they begin with become spherical
-// harmonics: within 4 ULP of 1.
-static void encode_directions(int n, float *in) {
+// harmonics, the first `terms` of them: within 4 ULP of 1.
+static void encode_directions(int n, int terms, float *in) {
     for (int j = 0; j < n; j += RN_VL, in += RN_VL * RN_HEAD_INPUTS) {
         int rows = n - j < RN_VL ? n - j : RN_VL;
         float numbers[RN_SH_COUNT][RN_VL] = {{0}};
@@ -270,7 +288,7 @@ static void encode_directions(int n, float *in) {
         sh_lanes(d, sh);
         memcpy(numbers, sh, sizeof sh);
         for (int k = 0; k < rows; k++)
-            for (int i = 0; i < RN_SH_COUNT; i++)
+            for (int i = 0; i < terms; i++)
                 in[k * RN_HEAD_INPUTS + i] = numbers[i][k];
     }
 }
@@ -281,6 +299,7 @@ static void head_inputs(const struct rn_cpu_field *field, const struct rn_march_
     float view[3];
     if (!field->config->view_dependence) return;
     memcpy(in, options->look ? options->look : view_of(field, ray, view), sizeof view);
+    put_appearance(field, options, ray, in);
     for (int i = 0; i < 12; i++)
         in[16 + i] = sums->sum[4 + i];
     for (int c = 0; c < 3; c++)
@@ -296,7 +315,7 @@ static void head_colours(const struct rn_cpu_field *field, const struct rn_march
                          struct rn_workspace *w, float (*rgb)[3]) {
     struct mlp head = head_network(field, w);
     if (field->config->view_dependence) {
-        encode_directions(n, w->head_in);
+        encode_directions(n, sh_seen(field), w->head_in);
         mlp_forward(&head, 0, n);
     }
     for (int j = 0; j < n; j++) {
@@ -341,6 +360,7 @@ static void shade_samples(const struct rn_cpu_field *field, const struct rn_marc
                        sh);
         last = w->ray[i];
         memcpy(in, sh, sizeof sh);
+        put_appearance(field, options, rays[w->ray[i]], in);
         memcpy(in + RN_SH_COUNT, w->geometry + (size_t)i * RN_GEOMETRY + 1, 15 * sizeof(float));
         in[31] = 1;
     }

@@ -26,13 +26,17 @@ static void tell_choice(const struct rn_train_config *config, struct rn_effect_r
                                           : "asked for, but it cannot be");
 }
 
-struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
+struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset, bool on_gpu,
                                     struct rn_train_config *config,
                                     struct rn_effect_record ret_records[RN_EFFECT_COUNT]) {
     struct rn_bounds bounds = dataset->bounds;
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         ret_records[i] = blank(i);
-        if (rows[i]->prepare) rows[i]->prepare(dataset, config, &bounds, &ret_records[i]);
+        if (on_gpu && rows[i]->cpu_alone)
+            snprintf(ret_records[i].reason, sizeof ret_records[i].reason,
+                     "a GPU does not train with it: --device cpu does");
+        else if (rows[i]->prepare)
+            rows[i]->prepare(dataset, config, &bounds, &ret_records[i]);
         tell_choice(config, &ret_records[i], i);
     }
     return bounds;

@@ -16,6 +16,7 @@
 //   the loss of a pixel              field/loss.h
 //   the cones of a picture's pixel   render/cones.h          -               -
 //   the photographs' cameras         scene/pose.h            train/poses.c   -
+//   the colour network's inputs      field/mlp.h             cpu/packet.h    - (0 in pictures)
 //   the pixels that rays are of      train/outliers.h        train/sampler.c -
 #ifndef RN_ENGINE_EFFECTS_EFFECTS_H
 #define RN_ENGINE_EFFECTS_EFFECTS_H
@@ -54,7 +55,8 @@ struct rn_effect_row {
     // What it brings can be measured: beside a training without it, and where it is off beside one
     // with it.
     bool optional, optional_when_off;
-    unsigned fit; // RN_FIT_*: what withheld photographs differ in where it is on
+    bool cpu_alone; // a GPU does not train with it
+    unsigned fit;   // RN_FIT_*: what withheld photographs differ in where it is on
     // Before there is a field: what kind of one is trained, and in which ball. Fills the record.
     void (*prepare)(const struct rn_dataset *dataset, struct rn_train_config *config,
                     struct rn_bounds *bounds, struct rn_effect_record *record);
@@ -91,9 +93,9 @@ static inline bool rn_effect_choose(const struct rn_train_config *config, enum r
     return can && (choice == RN_EFFECT_WANTED || (choice == RN_EFFECT_AUTO && called_for));
 }
 
-// What is decided before there is a field: the ball to train in, the configuration's space, and the
-// records of the effects that say so; the others are empty.
-struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset,
+// What is decided before there is a field, which a GPU will train where `on_gpu`: the ball to train
+// in, the configuration's space, and the records of the effects that say so; the others are empty.
+struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset, bool on_gpu,
                                     struct rn_train_config *config,
                                     struct rn_effect_record ret_records[RN_EFFECT_COUNT]);
 // Measures all other effects, then switches the configuration, the last effect first: later ones

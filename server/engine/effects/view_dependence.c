@@ -17,10 +17,14 @@ static void detect(const struct rn_evidence *e, struct rn_effect_record *r) {
     bool given = config->effect[RN_EFFECT_VIEW_DEPENDENCE] != RN_EFFECT_AUTO;
     r->on =
         rn_effect_choose(config, RN_EFFECT_VIEW_DEPENDENCE, true, config->field.view_dependence);
-    r->decided = given || !config->auto_effects;
+    bool needed = config->field.appearances > 0; // by whose network colours change with it
+    r->on |= needed;
+    r->decided = needed || given || !config->auto_effects;
     r->number = NAN;
     snprintf(r->reason, sizeof r->reason, "%s",
-             r->decided ? "as asked for" : "on until measured on the field after its warm-up");
+             needed       ? "on, as photographs have appearances of their own"
+             : r->decided ? "as asked for"
+                          : "on until measured on the field after its warm-up");
     config->field.view_dependence = r->on;
 }
 

@@ -6,6 +6,9 @@
 //   ray shading: the density network's outputs are [logit, diffuse logits(3), features(12)];
 //     D, F, O = sums of weights times sigmoid(diffuse), features, 1; inputs [SH(16), F, D, O];
 //     rgb = D + O * outputs.
+// Where photographs have appearances of their own, the last RN_APPEARANCE of the SH, those of third
+// degree, give their inputs to the code of the photograph that the ray is of (Martin-Brualla et al.
+// 2021, "NeRF in the Wild", section 4.1), which is 0 in pictures.
 #ifndef RN_ENGINE_FIELD_MLP_H
 #define RN_ENGINE_FIELD_MLP_H
 
@@ -17,6 +20,7 @@
 #define RN_GEOMETRY 16 // outputs of the density network
 #define RN_HEAD_INPUTS 32
 #define RN_HEAD_OUTPUTS 16 // 3 used
+#define RN_APPEARANCE_AT 9 // of the inputs: a photograph's code begins there
 
 // Weights are row-major [input][output], layer after layer. Plain value.
 struct rn_mlp_shape {

@@ -11,7 +11,7 @@
 #include "server/engine/kernels/draw.h"
 #include "server/engine/kernels/kernels.h"
 
-#define RN_BACKEND_VERSION 14
+#define RN_BACKEND_VERSION 15
 #define RN_BACKEND_SYMBOL "rn_backend_table"
 
 struct rn_backend_device; // owner: rn_backend.open's caller

@@ -65,6 +65,10 @@ struct rn_cpu_field {
     struct rn_occupancy_bits occupancy;
 };
 
+static inline size_t rn_appearance_numbers(const struct rn_field_config *config) {
+    return (size_t)config->appearances * RN_APPEARANCE;
+}
+
 // Room for what a kernel set packs of a network, in numbers.
 static inline size_t rn_mlp_packed_count(const struct rn_mlp_shape *shape) {
     size_t count = 0;
@@ -122,7 +126,11 @@ struct rn_march_options {
     uint64_t seed, counter; // of the roulette
     uint16_t *samples;      // pictures: NULL, or of each ray: its samples are added
     bool whole_levels;      // pictures: of the nearest level alone, not between two
-    const float *look;      // NULL, or a direction for the colour network instead of the ray's
+    // Of a field with appearances: [photograph][RN_APPEARANCE], NULL: 0 in all; and of a ray's id
+    // whose of them it has, NULL: the first.
+    const float *appearances;
+    const uint32_t *photographs;
+    const float *look; // NULL, or a direction for the colour network instead of the ray's
 };
 
 // Whether the field holds a place, which reaches as far as its cameras see, and not what lies in a
@@ -135,6 +143,12 @@ static inline bool rn_is_place(const struct rn_cpu_field *field) {
 // everything, and colours are summed up along the ray.
 static inline bool rn_ends_opaque(const struct rn_cpu_field *field) {
     return rn_is_place(field) && field->config->shading == RN_SHADING_RAY;
+}
+
+// Where among a field's appearances that of a ray begins.
+static inline size_t rn_appearance_at(const struct rn_march_options *options,
+                                      const struct rn_march_ray *ray) {
+    return options->photographs ? (size_t)options->photographs[ray->id] * RN_APPEARANCE : 0;
 }
 
 static inline int rn_pixel_rays(const struct rn_march_options *options) {
@@ -155,7 +169,7 @@ struct rn_group {
     struct rn_slab slab;
     int cursor, end; // rays of the batch still to do: [cursor, end)
     int packet;      // how many a packet begins with; halved where they have no room. 0: the most
-    float *base_grad, *head_grad;
+    float *base_grad, *head_grad, *appearance_grad; // one behind the other
     uint32_t *seen;  // NULL, or of a cell: the largest weight it showed (cpu/crisp.h)
     float *ray_loss; // NULL, or of a ray's id: its loss without the weight
     double loss, weight;

@@ -8,9 +8,17 @@
 #include "server/engine/field/volume.h"
 #include "server/engine/reference/tape.h"
 
+// Adds to dL/d(appearance) of a ray's photograph what the colour network's inputs ask for.
+static void add_appearance(const struct rn_reference *ref, const struct rn_reference_ray *ray,
+                           const double *inputs_grad) {
+    for (int i = 0; i < RN_APPEARANCE && ref->config.appearances > 0 && ray->appearance_grad; i++)
+        ray->appearance_grad[i] += inputs_grad[RN_APPEARANCE_AT + i];
+}
+
 // dL/d(weight of sample s) and dL/d(geometry) with sample shading.
-static double backward_sample_shade(struct rn_reference *ref, struct rn_tape *tape, int s,
-                                    const double rgb_grad[3], double *geometry_grad) {
+static double backward_sample_shade(struct rn_reference *ref, const struct rn_reference_ray *ray,
+                                    struct rn_tape *tape, int s, const double rgb_grad[3],
+                                    double *geometry_grad) {
     int layers = ref->head_shape.layers;
     double g = 0;
     memset(tape->head_grad[layers], 0, RN_HEAD_OUTPUTS * sizeof(double));
@@ -22,12 +30,14 @@ static double backward_sample_shade(struct rn_reference *ref, struct rn_tape *ta
     rn_mlp_backward(&ref->head_shape, ref->head, tape->head + s * (layers + 1), tape->head_grad,
                     ref->head_grad);
     memcpy(geometry_grad + 1, tape->head_grad[0] + RN_SH_COUNT, 15 * sizeof(double));
+    add_appearance(ref, ray, tape->head_grad[0]);
     return g;
 }
 
 // dL/d(sums) and dL/d(opacity) with ray shading.
-static double backward_ray_head(struct rn_reference *ref, struct rn_tape *tape,
-                                const double rgb_grad[3], double sums_grad[RN_GEOMETRY]) {
+static double backward_ray_head(struct rn_reference *ref, const struct rn_reference_ray *ray,
+                                struct rn_tape *tape, const double rgb_grad[3],
+                                double sums_grad[RN_GEOMETRY]) {
     memset(sums_grad, 0, RN_GEOMETRY * sizeof(double));
     for (int c = 0; c < 3; c++)
         sums_grad[1 + c] = rgb_grad[c];
@@ -45,6 +55,7 @@ static double backward_ray_head(struct rn_reference *ref, struct rn_tape *tape,
         sums_grad[4 + i] += inputs_grad[16 + i];
     for (int c = 0; c < 3; c++)
         sums_grad[1 + c] += inputs_grad[28 + c];
+    add_appearance(ref, ray, inputs_grad);
     return opacity_grad + inputs_grad[31];
 }
 
@@ -89,12 +100,12 @@ static enum rn_status backward(struct rn_reference *ref, const struct rn_referen
     if (!g) return RN_ERROR_NO_MEMORY;
     double *geometry = g + n, sums_grad[RN_GEOMETRY], opacity_grad = 0;
     bool per_ray = ref->config.shading == RN_SHADING_RAY;
-    if (per_ray) opacity_grad = backward_ray_head(ref, tape, grad, sums_grad);
+    if (per_ray) opacity_grad = backward_ray_head(ref, ray, tape, grad, sums_grad);
     for (int s = 0; s < n; s++) {
         double *out = geometry + (size_t)s * RN_GEOMETRY;
         g[s] = grad[3];
         g[s] += per_ray ? backward_ray_shade(ref, tape, s, sums_grad, opacity_grad, out)
-                        : backward_sample_shade(ref, tape, s, grad, out);
+                        : backward_sample_shade(ref, ray, tape, s, grad, out);
     }
     *ret_distortion = distort(ray, tape, distortion, g);
     rn_composite_backward(n, tape->weights, tape->after, g, g);

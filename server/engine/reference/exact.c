@@ -174,9 +174,9 @@ static double sigmoid(double x) {
     return 1 / (1 + exp(-x));
 }
 
-// SH of the ray's direction into the colour network's inputs.
-static void set_direction(const struct rn_cpu_field *f, const struct rn_march_ray *ray,
-                          double *inputs) {
+// SH of the ray's direction, and its photograph's appearance, into the colour network's inputs.
+static void set_direction(const struct rn_cpu_field *f, const struct rn_march_options *options,
+                          const struct rn_march_ray *ray, double *inputs) {
     double d[3];
     bool forward = f->disparity.on;
     struct rn_forward_ray was = {{0}, 0, 0};
@@ -187,14 +187,18 @@ static void set_direction(const struct rn_cpu_field *f, const struct rn_march_ra
         rn_sh_encode(d, inputs);
     else
         memset(inputs, 0, RN_SH_COUNT * sizeof *inputs);
+    for (int i = 0; i < RN_APPEARANCE && f->config->appearances > 0; i++)
+        inputs[RN_APPEARANCE_AT + i] =
+            options->appearances ? (double)options->appearances[rn_appearance_at(options, ray) + i]
+                                 : 0;
 }
 
 // Colours of one sample, from the density network's outputs.
-static void shade_sample(struct rn_exact *exact, const struct rn_march_ray *ray,
-                         const double *geometry, double rgb[3]) {
+static void shade_sample(struct rn_exact *exact, const struct rn_march_options *options,
+                         const struct rn_march_ray *ray, const double *geometry, double rgb[3]) {
     double outputs[RN_GEOMETRY];
     memcpy(outputs, geometry, sizeof outputs); // the networks share their room
-    set_direction(exact->field, ray, exact->activation[0]);
+    set_direction(exact->field, options, ray, exact->activation[0]);
     memcpy(exact->activation[0] + RN_SH_COUNT, outputs + 1, 15 * sizeof(double));
     exact->activation[0][31] = 1;
     rn_mlp_forward(&exact->field->head_shape, exact->head, exact->activation);
@@ -203,11 +207,12 @@ static void shade_sample(struct rn_exact *exact, const struct rn_march_ray *ray,
 }
 
 // Ray shading: the colour of a ray's sums.
-static void shade_ray(struct rn_exact *exact, const struct rn_march_ray *ray,
-                      const double sums[RN_GEOMETRY], double opacity, double rgb[3]) {
+static void shade_ray(struct rn_exact *exact, const struct rn_march_options *options,
+                      const struct rn_march_ray *ray, const double sums[RN_GEOMETRY],
+                      double opacity, double rgb[3]) {
     memcpy(rgb, sums + 1, 3 * sizeof *rgb);
     if (!exact->field->config->view_dependence) return;
-    set_direction(exact->field, ray, exact->activation[0]);
+    set_direction(exact->field, options, ray, exact->activation[0]);
     memcpy(exact->activation[0] + 16, sums + 4, 12 * sizeof(double));
     memcpy(exact->activation[0] + 28, sums + 1, 3 * sizeof(double));
     exact->activation[0][31] = opacity;
@@ -237,12 +242,12 @@ void rn_exact_render(struct rn_exact *exact, const struct rn_march_options *opti
         ret_pixel->level = fmax(ret_pixel->level, level);
         for (int i = 1; i < RN_GEOMETRY && per_ray; i++)
             sums[i] += weight * (i < 4 ? sigmoid(out[i]) : out[i]);
-        if (!per_ray) shade_sample(exact, ray, out, colour);
+        if (!per_ray) shade_sample(exact, options, ray, out, colour);
         for (int c = 0; c < 3 && !per_ray; c++)
             rgb[c] += weight * colour[c];
     }
     ret_pixel->alpha = rn_alpha(depth);
-    if (per_ray) shade_ray(exact, ray, sums, ret_pixel->alpha, rgb);
+    if (per_ray) shade_ray(exact, options, ray, sums, ret_pixel->alpha, rgb);
     rn_colour_seen(&options->colour, ret_pixel->alpha, rgb);
     memcpy(ret_pixel->rgb, rgb, sizeof rgb);
 }

@@ -65,6 +65,8 @@ static void set_directions(const struct rn_reference *ref, const struct rn_refer
         rn_sh_encode(ray->direction, inputs);
     else
         memset(inputs, 0, RN_SH_COUNT * sizeof(double));
+    for (int i = 0; i < RN_APPEARANCE && ref->config.appearances > 0; i++)
+        inputs[RN_APPEARANCE_AT + i] = ray->appearance ? ray->appearance[i] : 0;
 }
 
 static void shade_samples(const struct rn_reference *ref, const struct rn_reference_ray *ray,

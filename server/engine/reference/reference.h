@@ -35,9 +35,11 @@ struct rn_reference_ray {
     double width;      // of every sample, normalised; in unbounded space half of that in places
     double target[3];
     struct rn_colouring colour;
-    double alpha;  // the pixel's own
-    double weight; // area weight
-    bool cut;      // it was ended before the end of space: its last sample is not made opaque
+    double alpha;             // the pixel's own
+    double weight;            // area weight
+    const double *appearance; // of its photograph, where the field has such; NULL: 0 in all
+    double *appearance_grad;  // NULL, or where dL/d(appearance) is added
+    bool cut; // it was ended before the end of space: its last sample is not made opaque
 };
 
 // All zero parameters. RN_ERROR_INVALID for a bad configuration, RN_ERROR_NO_MEMORY.

@@ -186,7 +186,7 @@ static bool is_for_device(const struct frame *f, int levels) {
     const struct rn_render_options *o = &f->options;
     bool looks_inside = (o->outputs & (RN_OUTPUT_COST | RN_OUTPUTS_OF_SURFACES)) != 0;
     return f->field->on_device && levels <= f->field->device_levels &&
-           !rn_shot_needs_viewpoints(&o->shot) && !looks_inside && !o->crop;
+           !rn_shot_needs_viewpoints(&o->shot) && !looks_inside && !o->crop && !o->appearance.own;
 }
 
 // Cells that the march reads, on the CPU or on the device.
@@ -445,6 +445,7 @@ static void init_frame(struct frame *f) {
     f->late_ns = o->deadline_ns ? o->deadline_ns - fill_ns(f) : 0;
     memcpy(f->march.colour.background, o->background, sizeof f->march.colour.background);
     f->march.straight = o->straight;
+    if (o->appearance.own) f->march.appearances = o->appearance.code;
     f->march.whole_levels = o->settings.tolerance > WHOLE_LEVELS;
 }
 

@@ -39,7 +39,8 @@ struct rn_render_options {
     const struct rn_lpips *lpips; // of evaluations, which tell LPIPS by it; NULL: they do not
     unsigned fit;                 // of evaluations: RN_FIT_* ORed
     struct rn_render_settings settings;
-    struct rn_shot shot; // effects of the camera; 0: none
+    struct rn_shot shot;             // effects of the camera; 0: none
+    struct rn_appearance appearance; // its own renders on the CPU
     // What of the scene is seen, to half a cell of the occupancy grid; NULL: all. Borrowed. Renders
     // on the CPU.
     const struct rn_box *crop;

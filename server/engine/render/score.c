@@ -8,9 +8,12 @@
 #include "server/engine/effects/effects.h"
 #include "server/engine/render/cones.h"
 #include "server/engine/render/render.h"
+#include "server/engine/scene/appearance.h"
 #include "server/engine/scene/device.h"
 #include "server/engine/scene/pixels.h"
 #include "server/engine/scene/pose.h"
+
+#define SOUGHT (RN_FIT_POSE | RN_FIT_APPEARANCE) // what a picture is rendered anew with
 
 static bool is_folded(const struct rn_camera *c, int x, int y) {
     return !(rn_camera_ray(c, x + 0.5, y + 0.5).radius > 0);
@@ -116,7 +119,8 @@ struct view {
     uint8_t *used;
 };
 
-// The picture from where the camera is found to be by the photograph's other half.
+// The picture from where the camera is found to be, and in the light that there is found to be, by
+// the photograph's other half.
 static enum rn_status render_sought(const struct view *view, int half,
                                     struct rn_render_result *ret_result, struct rn_error *err) {
     const struct rn_rendered_view *r = view->rendered;
@@ -129,8 +133,15 @@ static enum rn_status render_sought(const struct view *view, int half,
     if (status == RN_OK) status = rn_field_make_ready(r->field, r->engine, levels, err);
     if (status != RN_OK) return status;
     memcpy(background, options.background, sizeof options.background);
-    options.camera = rn_pose_seek(&looker, &photo, half ? RN_POSE_LEFT : RN_POSE_RIGHT,
-                                  RN_POSE_UNKNOWNS, r->field->config.seed);
+    enum rn_pose_part part = half ? RN_POSE_LEFT : RN_POSE_RIGHT;
+    uint64_t seed = r->field->config.seed;
+    if (options.fit & RN_FIT_POSE)
+        options.camera = rn_pose_seek(&looker, &photo, part, RN_POSE_UNKNOWNS, seed);
+    photo.camera = options.camera;
+    if (options.fit & RN_FIT_APPEARANCE && rn_field_appearances(r->field)) {
+        options.appearance.own = true;
+        rn_appearance_seek(&looker, &photo, part, seed, options.appearance.code);
+    }
     return rn_render(r->engine, r->field, &options, r->keep_going, r->context, ret_result, err);
 }
 
@@ -139,7 +150,7 @@ static enum rn_status fitted_psnr(const struct view *view, double *ret_psnr, str
     size_t count = 0;
     double sum = 0;
     enum rn_status status = RN_OK;
-    bool seeks = view->rendered->options.fit & RN_FIT_POSE;
+    bool seeks = view->rendered->options.fit & SOUGHT;
     for (int half = 0; half < 2 && status == RN_OK; half++) {
         struct rn_render_result sought = {0};
         if (seeks) status = render_sought(view, half, &sought, err);
@@ -220,7 +231,7 @@ enum rn_status rn_view_render(struct rn_engine *engine, struct rn_field *field,
 }
 
 bool rn_view_is_apart(const struct rn_rendered_view *view) {
-    return !view->options.lpips && !(view->options.fit & RN_FIT_POSE);
+    return !view->options.lpips && !(view->options.fit & SOUGHT);
 }
 
 enum rn_status rn_view_compare(struct rn_rendered_view *rendered, struct rn_view_score *ret_score,

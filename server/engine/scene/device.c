@@ -138,7 +138,8 @@ struct rn_device_scene rn_device_scene_of(const struct rn_field *f, int levels) 
                                     .base_shape = f->cpu.base_shape,
                                     .head_shape = f->cpu.head_shape,
                                     .levels = levels,
-                                    .parameter_count = f->parameters.count,
+                                    .parameter_count =
+                                        f->parameters.count - f->parameters.appearance_count,
                                     .parameters = f->parameters.values,
                                     .occupancy = f->occupancy,
                                     .hull = f->hull};
@@ -150,14 +151,36 @@ struct rn_device_scene rn_device_scene_of(const struct rn_field *f, int levels) 
     return scene;
 }
 
+// A device gives the colour network harmonics of third degree where the CPU gives it a photograph's
+// appearance, 0 in pictures: `copy` is the parameters without what these inputs weigh.
+static void leave_out_appearances(const struct rn_field *f, float *copy) {
+    const struct rn_parameters *p = &f->parameters;
+    size_t width = (size_t)f->cpu.head_shape.out[0];
+    memcpy(copy, p->values, (p->count - p->appearance_count) * sizeof *copy);
+    memset(copy + p->plane_count + p->base_count + RN_APPEARANCE_AT * width, 0,
+           RN_APPEARANCE * width * sizeof *copy);
+}
+
 enum rn_status rn_field_put(struct rn_engine *engine, struct rn_field *f, int levels,
                             const struct rn_device_pixels *pixels,
                             const struct rn_device_training *training, struct rn_error *err) {
     if (f->on_device) f->backend->field_destroy(&f->on_device);
     struct rn_device_scene scene = rn_device_scene_of(f, levels);
     const struct rn_backend *backend = engine->backend;
+    float *copy = NULL;
+    if (f->parameters.appearance_count) {
+        if (pixels)
+            return rn_error_set(err, RN_ERROR_UNSUPPORTED, "appearance",
+                                "a GPU does not train photographs' appearances; use --device cpu, "
+                                "or train with --effect appearance=off");
+        copy = malloc(scene.parameter_count * sizeof *copy);
+        if (!copy) return rn_error_set(err, RN_ERROR_NO_MEMORY, "appearance", "out of memory");
+        leave_out_appearances(f, copy);
+        scene.parameters = copy;
+    }
     enum rn_status status = make_room(engine, &scene, pixels, training, err);
     if (status == RN_OK) status = backend->field_create(engine->device, &scene, &f->on_device, err);
+    free(copy);
     if (status == RN_OK && pixels)
         status = backend->train_begin(f->on_device, pixels, training, err);
     if (status != RN_OK) {

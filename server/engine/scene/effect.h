@@ -8,8 +8,9 @@
 
 // What a photograph may be given of its own before it is compared.
 enum rn_fit {
-    RN_FIT_EXPOSURE = 1, // a gain and an offset a channel
-    RN_FIT_POSE = 2,     // and where its camera was, and its focal length
+    RN_FIT_EXPOSURE = 1,   // a gain and an offset a channel
+    RN_FIT_POSE = 2,       // and where its camera was, and its focal length
+    RN_FIT_APPEARANCE = 4, // and its appearance (effect appearance)
 };
 
 // An effect that is off is not computed.

@@ -113,6 +113,15 @@ struct rn_field_info {
     struct rn_viewing viewing; // of 0 bits: it was trained here
 };
 void rn_field_describe(const struct rn_field *field, struct rn_field_info *ret_info);
+// In what light a photograph of the place was taken (effect appearance): the code of it. 0: the
+// mean of all, in which pictures are.
+struct rn_appearance {
+    bool own;
+    float code[RN_APPEARANCE];
+};
+// That of a photograph of its dataset, by its number among the frames; the mean where the field
+// does not know it.
+struct rn_appearance rn_field_appearance(const struct rn_field *field, size_t photograph);
 // SHA-256 of the parameters: fp32 little endian, [plane][v][u][channel], then the networks
 // (density, then colour; each layer row-major [input][output]). Of a field that a device trains: as
 // of the last save.

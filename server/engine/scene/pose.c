@@ -13,8 +13,6 @@
 #define STEPS 4     // of a search, for each size of squares
 #define BLOCK 256   // rays rendered together
 
-typedef float colours[RN_POSE_SIGHTS][3];
-
 struct rn_camera rn_pose_move(const struct rn_camera *from, const double by[RN_POSE_UNKNOWNS],
                               double unit) {
     struct rn_camera camera = *from;
@@ -71,14 +69,14 @@ void rn_pose_draw(const struct rn_pose_photo *photo, const struct rn_pose_draw *
 
 // ---- looking ----
 
-static void look(const struct rn_pose_looker *l, const struct rn_camera *camera,
-                 const struct rn_pose_sights *sights, colours ret) {
+void rn_pose_look(const struct rn_pose_looker *l, const struct rn_camera *camera,
+                  const struct rn_pose_sights *sights, rn_pose_colours ret) {
     struct rn_view view = rn_field_view(l->field, camera);
     int side = sights->side, each = side * side, total = sights->count * each;
     struct rn_ray_place places[BLOCK];
     struct rn_march_ray rays[BLOCK];
     struct rn_pixel pixels[BLOCK];
-    memset(ret, 0, sizeof(colours));
+    memset(ret, 0, sizeof(rn_pose_colours));
     for (int begin = 0; begin < total; begin += BLOCK) {
         int n = total - begin < BLOCK ? total - begin : BLOCK;
         for (int i = 0; i < n; i++) {
@@ -109,16 +107,16 @@ static double step_of(const struct rn_pose_looker *l, const struct rn_camera *ca
 }
 
 void rn_pose_slopes(const struct rn_pose_looker *l, const struct rn_camera *camera,
-                    const struct rn_pose_sights *sights, colours *ret) {
+                    const struct rn_pose_sights *sights, rn_pose_colours *ret) {
     for (int k = 0; k < RN_POSE_UNKNOWNS; k++) {
         double step = step_of(l, camera, sights->side, k), by[RN_POSE_UNKNOWNS] = {0};
-        colours back;
+        rn_pose_colours back;
         by[k] = step;
         struct rn_camera there = rn_pose_move(camera, by, l->field->bounds.radius);
-        look(l, &there, sights, ret[k]);
+        rn_pose_look(l, &there, sights, ret[k]);
         by[k] = -step;
         there = rn_pose_move(camera, by, l->field->bounds.radius);
-        look(l, &there, sights, back);
+        rn_pose_look(l, &there, sights, back);
         for (int i = 0; i < sights->count; i++)
             for (int c = 0; c < 3; c++)
                 ret[k][i][c] = (ret[k][i][c] - back[i][c]) / (float)(2 * step);
@@ -126,8 +124,8 @@ void rn_pose_slopes(const struct rn_pose_looker *l, const struct rn_camera *came
 }
 
 // target = gain * colour + offset by least squares.
-static void fit_exposure(const struct rn_pose_sights *sights, colours seen, double *ret_gain,
-                         double *ret_offset) {
+static void fit_exposure(const struct rn_pose_sights *sights, rn_pose_colours seen,
+                         double *ret_gain, double *ret_offset) {
     double x = 0, y = 0, xx = 0, xy = 0, n = 3.0 * (sights->count ? sights->count : 1);
     for (int i = 0; i < 3 * sights->count; i++) {
         double a = (double)seen[i / 3][i % 3], b = (double)sights->at[i / 3].target[i % 3];
@@ -141,12 +139,12 @@ static void fit_exposure(const struct rn_pose_sights *sights, colours seen, doub
     *ret_offset = (y - *ret_gain * x) / n;
 }
 
-static double difference(const struct rn_pose_sights *sights, colours seen, double gain,
+static double difference(const struct rn_pose_sights *sights, rn_pose_colours seen, double gain,
                          double offset, int i) {
     return (double)sights->at[i / 3].target[i % 3] - gain * (double)seen[i / 3][i % 3] - offset;
 }
 
-static double cost_of(const struct rn_pose_sights *sights, colours seen) {
+static double cost_of(const struct rn_pose_sights *sights, rn_pose_colours seen) {
     double gain, offset, sum = 0;
     fit_exposure(sights, seen, &gain, &offset);
     for (int i = 0; i < 3 * sights->count; i++) {
@@ -158,9 +156,9 @@ static double cost_of(const struct rn_pose_sights *sights, colours seen) {
 
 void rn_pose_equations(const struct rn_pose_looker *l, const struct rn_camera *camera,
                        const struct rn_pose_sights *sights, struct rn_pose_equations *ret) {
-    colours seen, slopes[RN_POSE_UNKNOWNS];
+    rn_pose_colours seen, slopes[RN_POSE_UNKNOWNS];
     memset(ret, 0, sizeof *ret);
-    look(l, camera, sights, seen);
+    rn_pose_look(l, camera, sights, seen);
     rn_pose_slopes(l, camera, sights, slopes);
     fit_exposure(sights, seen, &ret->gain, &ret->offset);
     ret->cost = cost_of(sights, seen);
@@ -206,11 +204,11 @@ void rn_pose_solve(const struct rn_pose_equations *e, int n, double damping,
 
 double rn_pose_error(const struct rn_pose_looker *looker, const struct rn_camera *camera,
                      const struct rn_pose_sights *fitted, const struct rn_pose_sights *scored) {
-    colours seen;
+    rn_pose_colours seen;
     double gain, offset, sum = 0;
-    look(looker, camera, fitted, seen);
+    rn_pose_look(looker, camera, fitted, seen);
     fit_exposure(fitted, seen, &gain, &offset);
-    look(looker, camera, scored, seen);
+    rn_pose_look(looker, camera, scored, seen);
     for (int i = 0; i < 3 * scored->count; i++)
         sum += pow(difference(scored, seen, gain, offset, i), 2);
     return scored->count ? sum / (3 * scored->count) : 1;
@@ -224,7 +222,7 @@ struct rn_camera rn_pose_seek(const struct rn_pose_looker *l, const struct rn_po
     struct rn_pose_equations equations;
     struct rn_pose_sights sights;
     double unit = l->field->bounds.radius, by[RN_POSE_UNKNOWNS];
-    colours seen;
+    rn_pose_colours seen;
     for (int side = COARSEST; side >= 1; side /= 2) {
         double damping = 1e-3;
         struct rn_pose_draw draw = {.part = part,
@@ -239,7 +237,7 @@ struct rn_camera rn_pose_seek(const struct rn_pose_looker *l, const struct rn_po
         for (int step = 0; step < STEPS; step++) {
             rn_pose_solve(&equations, unknowns, damping, by);
             struct rn_camera next = rn_pose_move(&camera, by, unit);
-            look(l, &next, &sights, seen);
+            rn_pose_look(l, &next, &sights, seen);
             bool better = cost_of(&sights, seen) < equations.cost;
             damping *= better ? 0.3 : 10;
             if (!better) continue;

@@ -52,6 +52,11 @@ struct rn_pose_looker {
     struct rn_march_options march;
 };
 
+// What it sees: the mean colour of each sight's pixels.
+typedef float rn_pose_colours[RN_POSE_SIGHTS][3];
+void rn_pose_look(const struct rn_pose_looker *looker, const struct rn_camera *camera,
+                  const struct rn_pose_sights *sights, rn_pose_colours ret_colours);
+
 // Of the squared differences between a photograph's colours and `gain` times the rendered ones plus
 // `offset`, weighed by Huber's function: half the sum's second derivatives to the camera's moves
 // (Gauss-Newton) and minus half its first. Gain and offset are those of least squares.

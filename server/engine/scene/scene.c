@@ -124,7 +124,8 @@ static void set_parameter_counts(struct rn_parameters *p, const struct rn_cpu_fi
     p->plane_count = (size_t)rn_grid_count(c) * rn_grid_numbers(c);
     p->base_count = cpu->base_shape.count;
     p->head_count = cpu->head_shape.count;
-    p->count = p->plane_count + p->base_count + p->head_count;
+    p->appearance_count = rn_appearance_numbers(c);
+    p->count = p->plane_count + p->base_count + p->head_count + p->appearance_count;
 }
 
 size_t rn_field_bytes(const struct rn_train_config *config, int levels) {

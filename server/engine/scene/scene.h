@@ -43,11 +43,15 @@ struct rn_engine {
 bool rn_engine_is_wanted(void *engine);
 
 // Numbers of one field: planes and voxels (rn_grid_count of them), density network, colour network,
-// in one block in this order.
+// photographs' appearances, in one block in this order.
 struct rn_parameters {
-    size_t plane_count, base_count, head_count, count;
+    size_t plane_count, base_count, head_count, appearance_count, count;
     float *values; // 64-byte aligned, owned by whoever made the block
 };
+// All of them behind the planes and voxels.
+static inline size_t rn_parameters_behind(const struct rn_parameters *p) {
+    return p->count - p->plane_count;
+}
 
 // Thread-safety: as the engine. Owner: rn_field_load's caller or the trainer.
 struct rn_field {

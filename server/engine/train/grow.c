@@ -178,7 +178,7 @@ static void carry_networks(const struct carry *carry) {
     for (int i = 0; i < 3; i++)
         memcpy(carry->planes[i].to + p->plane_count,
                carry->planes[i].from + carry->old->plane_count,
-               (p->base_count + p->head_count) * sizeof(float));
+               rn_parameters_behind(p) * sizeof(float));
 }
 
 // ---- stages: each takes some milliseconds, or can be cut short --------------------------------

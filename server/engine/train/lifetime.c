@@ -47,7 +47,8 @@ static enum rn_status plan(struct rn_engine *engine, const struct rn_dataset *da
                            struct rn_train_config *config,
                            struct rn_effect_record ret_prepared[RN_EFFECT_COUNT],
                            struct rn_trainer **ret_trainer, struct rn_error *err) {
-    struct rn_bounds bounds = rn_effects_prepare(dataset, config, ret_prepared);
+    struct rn_bounds bounds =
+        rn_effects_prepare(dataset, engine->backend != NULL, config, ret_prepared);
     enum rn_status status = rn_train_config_check(config, err);
     if (status == RN_OK) status = start(engine, dataset, config, &bounds, ret_trainer, err);
     return status;

@@ -81,7 +81,7 @@ static size_t step_bytes(const struct rn_trainer *t) {
     size_t side = (size_t)grown.field.base, before = (size_t)config->field.base;
     size_t cells = (size_t)config->field.occupancy, n = cells * cells * cells;
     size_t parameters = t->field->parameters.plane_count / (before * before) * (side * side) +
-                        t->field->parameters.base_count + t->field->parameters.head_count;
+                        rn_parameters_behind(&t->field->parameters);
     size_t pyramid =
         rn_pyramid_count(&grown.field, rn_trainer_levels(t)) * (size_t)grown.field.planes;
     double step = rn_picture_step(t->field);
@@ -90,7 +90,8 @@ static size_t step_bytes(const struct rn_trainer *t) {
            rn_optimiser_apart_bytes(&grown, parameters, rn_trainer_levels(t)) +
            RN_GROUPS * rn_group_numbers(cpu, capacity) * sizeof(float) +
            (size_t)rn_pool_threads(t->engine->pool) * rn_workspace_size(cpu, step) +
-           most_rays(config) * (sizeof(struct rn_march_ray) + sizeof(float) + sizeof(int32_t)) +
+           most_rays(config) *
+               (sizeof(struct rn_march_ray) + sizeof(float) + sizeof(int32_t) + sizeof(uint32_t)) +
            n / RN_HULL_WORD * sizeof(uint32_t) + (rn_is_place(cpu) ? n * sizeof(uint32_t) : 0);
 }
 

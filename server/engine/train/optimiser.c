@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "server/engine/field/voxels.h"
+#include "server/engine/scene/appearance.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
 
@@ -164,7 +165,7 @@ static void update_part(void *context, int index, int thread) {
 // Adds the groups' gradients in order into the first; false when anything is not finite.
 static bool sum_groups(struct rn_trainer *t, double *ret_loss, double *ret_weight) {
     const struct rn_parameters *p = &t->field->parameters;
-    size_t n = p->base_count + p->head_count;
+    size_t n = rn_parameters_behind(p);
     float *sum = t->optimiser.grad + p->plane_count;
     double loss = 0, weight = 0, check = 0;
     for (int g = 0; g < RN_GROUPS; g++) {
@@ -226,7 +227,7 @@ static void take_apart(struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
     struct rn_optimiser *o = &t->optimiser;
     memcpy(o->apart + p->plane_count, p->values + p->plane_count,
-           (p->base_count + p->head_count) * sizeof(float));
+           rn_parameters_behind(p) * sizeof(float));
     rn_field_exchange(t->field, &o->apart, &o->apart_pyramid, &o->apart_levels);
     t->field->cpu.built_levels = o->levels;
 }
@@ -254,10 +255,11 @@ static void update_rest(struct rn_trainer *t) {
     const struct rn_train_config *config = &t->field->config;
     const struct rn_parameters *p = &t->field->parameters;
     size_t at = p->plane_count;
-    if (!t->engine->kernels->adamw(&t->optimiser.update.networks, p->base_count + p->head_count,
+    if (!t->engine->kernels->adamw(&t->optimiser.update.networks, rn_parameters_behind(p),
                                    p->values + at, t->optimiser.grad + at, t->optimiser.m + at,
                                    t->optimiser.v + at))
         t->optimiser.wild = true;
+    rn_field_centre_appearances(t->field);
     float share = rn_schedule_smoothing(config, &t->progress);
     if (share > 0) smooth_all(t, share);
     t->field->fresh_levels = t->optimiser.levels;

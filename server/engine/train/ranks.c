@@ -214,7 +214,7 @@ void rn_ranks_tell_wave(struct rn_trainer *t) {
 
 static size_t network_bytes(const struct rn_trainer *t) {
     const struct rn_parameters *p = &t->field->parameters;
-    return (p->base_count + p->head_count) * sizeof(float);
+    return rn_parameters_behind(p) * sizeof(float);
 }
 
 // A group's sums: everything of it but what is this process's own.
@@ -225,16 +225,17 @@ static void take_sums(struct rn_group *group, const struct rn_group *told, const
     group->slab = own.slab;
     group->base_grad = own.base_grad;
     group->head_grad = own.head_grad;
+    group->appearance_grad = own.appearance_grad;
     group->seen = own.seen;
     group->ray_loss = own.ray_loss;
-    memcpy(group->base_grad, gradient, bytes); // the head's follow
+    memcpy(group->base_grad, gradient, bytes); // the others follow
 }
 
 // What addresses this process alone knows goes to nobody.
 static struct rn_group without_addresses(const struct rn_group *group) {
     struct rn_group told = *group;
     memset(&told.slab, 0, sizeof told.slab);
-    told.base_grad = told.head_grad = told.ray_loss = NULL;
+    told.base_grad = told.head_grad = told.appearance_grad = told.ray_loss = NULL;
     told.seen = NULL;
     return told;
 }

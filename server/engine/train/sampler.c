@@ -11,15 +11,18 @@
 enum rn_status rn_sampler_allocate_rays(struct rn_sampler *s, struct rn_error *err) {
     s->ray_loss = malloc(RN_MAX_RAYS * sizeof *s->ray_loss);
     s->ray_block = malloc(RN_MAX_RAYS * sizeof *s->ray_block);
-    if (s->ray_loss && s->ray_block) return RN_OK;
+    s->ray_photograph = malloc(RN_MAX_RAYS * sizeof *s->ray_photograph);
+    if (s->ray_loss && s->ray_block && s->ray_photograph) return RN_OK;
     return rn_error_set(err, RN_ERROR_NO_MEMORY, "trainer", "out of memory");
 }
 
 void rn_sampler_free_rays(struct rn_sampler *s) {
     free(s->ray_loss);
     free(s->ray_block);
+    free(s->ray_photograph);
     s->ray_loss = NULL;
     s->ray_block = NULL;
+    s->ray_photograph = NULL;
 }
 
 void rn_sampler_finish(struct rn_sampler *s) {
@@ -195,6 +198,9 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
             rays[i].id = (uint32_t)(begin + i);
             t->sampler.ray_block[begin + i] = places[i].block;
             t->sampler.ray_loss[begin + i] = 0;
+            if (places[i].frame)
+                t->sampler.ray_photograph[begin + i] =
+                    (uint32_t)(places[i].frame->frame - t->dataset->frames);
         }
     }
 }

@@ -25,6 +25,7 @@ struct rn_sampler {
     size_t live_count, live_first[17];
     struct rn_importance importance; // of the live blocks; none where they are drawn evenly
     float *ray_loss;                 // [RN_MAX_RAYS]: of the step's rays
+    uint32_t *ray_photograph;        // [RN_MAX_RAYS]: of the dataset, that they are of
     int32_t *ray_block;              // [RN_MAX_RAYS]: of `live`, that they are of; < 0: of none
 };
 

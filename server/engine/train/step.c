@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "server/engine/field/voxels.h"
+#include "server/engine/scene/appearance.h"
 #include "server/engine/train/guard.h"
 #include "server/engine/train/schedule.h"
 #include "server/engine/train/trainer.h"
@@ -37,7 +38,7 @@ static float *slab_lay_out(const struct rn_field_config *c, struct rn_slab *slab
 
 size_t rn_group_numbers(const struct rn_cpu_field *field, int capacity) {
     return slab_numbers(field->config, capacity) + field->base_shape.count +
-           field->head_shape.count;
+           field->head_shape.count + rn_appearance_numbers(field->config);
 }
 
 float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *at,
@@ -45,7 +46,8 @@ float *rn_group_lay_out(const struct rn_cpu_field *field, int capacity, float *a
     group->slab.capacity = capacity;
     group->base_grad = slab_lay_out(field->config, &group->slab, at);
     group->head_grad = group->base_grad + field->base_shape.count;
-    return group->head_grad + field->head_shape.count;
+    group->appearance_grad = group->head_grad + field->head_shape.count;
+    return group->appearance_grad + rn_appearance_numbers(field->config);
 }
 
 static enum rn_status allocate_groups(struct rn_trainer *t) {
@@ -142,6 +144,8 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
     t->step.ray_count = t->next_rays;
     t->step.first_ray = t->progress.rays;
     rn_trainer_take_march(t);
+    t->step.march.appearances = rn_field_appearances(t->field);
+    t->step.march.photographs = t->sampler.ray_photograph;
     int pixel = rn_pixel_rays(&t->step.march), pixels = t->step.ray_count / pixel;
     if (pixels == 0) pixels = 1;
     t->step.ray_count = pixels * pixel;
@@ -157,11 +161,12 @@ void rn_trainer_begin_step(struct rn_trainer *t) {
                                    .packet = packet > 0 ? packet : 1,
                                    .base_grad = group->base_grad,
                                    .head_grad = group->head_grad,
+                                   .appearance_grad = group->appearance_grad,
                                    .ray_loss = t->sampler.ray_loss,
                                    .seen = t->hull.seen};
         group->cursor = rn_step_first_ray(t, g);
         group->end = rn_step_first_ray(t, g + 1);
-        memset(group->base_grad, 0, (p->base_count + p->head_count) * sizeof(float));
+        memset(group->base_grad, 0, rn_parameters_behind(p) * sizeof(float));
     }
 }
 

@@ -123,9 +123,10 @@ enum rn_status rn_picture_encode(const struct rn_render_result *result,
     return status;
 }
 
-// The camera, and of a view as it was taken the gains that made its photograph even.
+// The camera, and of a view as it was taken the gains that made its photograph even and the light
+// that it was taken in.
 static enum rn_status find_camera(struct rn_host *host, const struct rn_render_request *request,
-                                  const struct rn_field_info *info,
+                                  const struct rn_field_info *info, const struct rn_field *field,
                                   struct rn_render_options *options, struct rn_error *err) {
     const struct rn_frame *frame;
     if (request->camera.width) {
@@ -143,20 +144,21 @@ static enum rn_status find_camera(struct rn_host *host, const struct rn_render_r
     options->camera = frame->camera;
     if (rn_name_or(request->lens, RN_LENS_CHOICE_PINHOLE) == RN_LENS_CHOICE_PINHOLE)
         options->camera = rn_camera_without_lens(&frame->camera);
-    if (rn_name_or(request->colours, RN_COLOURS_EVEN) == RN_COLOURS_AS_TAKEN &&
-        info->effects[RN_EFFECT_EXPOSURE].on)
+    if (rn_name_or(request->colours, RN_COLOURS_EVEN) != RN_COLOURS_AS_TAKEN) return RN_OK;
+    if (info->effects[RN_EFFECT_EXPOSURE].on)
         memcpy(options->shot.gain, frame->gain, sizeof options->shot.gain);
+    options->appearance = rn_field_appearance(field, (size_t)(frame - host->dataset->frames));
     return RN_OK;
 }
 
 // The engine's options of a request.
 static enum rn_status render_options(struct rn_host *host, const struct rn_render_request *request,
-                                     const struct rn_field_info *info,
+                                     const struct rn_field_info *info, const struct rn_field *field,
                                      struct rn_render_options *ret_options, struct rn_error *err) {
     struct rn_render_options options = {.deadline_ns = 0};
     rn_settings_put(&rn_render_settings, request->settings, &options.settings);
     enum rn_status status = rn_optics_of_request(&request->optics, &options.shot.optics, err);
-    if (!status) status = find_camera(host, request, info, &options, err);
+    if (!status) status = find_camera(host, request, info, field, &options, err);
     if (status) return status;
     if (request->size.width != RN_ABSENT)
         options.camera = rn_camera_reframed(&options.camera, (int)request->size.width,
@@ -186,7 +188,7 @@ static enum rn_status make(struct rn_host *host, const struct rn_wire_render *re
     if (status) return status;
     rn_field_describe(field, &info);
     if (!isnan(request->at)) rendered->at = info.train_seconds;
-    status = render_options(host, request, &info, &options, err);
+    status = render_options(host, request, &info, field, &options, err);
     rn_picture_crop(request->crop, &box, &options);
     if (!status)
         status = rn_budget_render(host, render, &info, field, &options, watch, rendered, ret_result,

@@ -97,6 +97,36 @@ START_TEST(photographs_that_are_not_seen_are_not_measured) {
 }
 END_TEST
 
+// A shadow that moves from photograph to photograph: over points by chance, whatever the gains.
+START_TEST(light_that_moves_is_told_from_exposures) {
+    for (int moves = 0; moves <= 1; moves++) {
+        struct rn_exposures *exposures;
+        make_capture();
+        ck_assert_int_eq(rn_exposures_create(&capture, &exposures, &err), RN_OK);
+        for (int photo = 0; photo < PHOTOS; photo++) {
+            struct rn_image image = photograph(photo);
+            for (int i = 0; i < 4 * SIDE * SIDE; i++) {
+                int point = i / 4 % SIDE / 5 + i / 4 / SIDE / 5 * 12;
+                if (moves && i % 4 < 3 && sin(point * 1.3 + photo * 2.1) > 0)
+                    image.pixels[i] = (uint8_t)(image.pixels[i] * 0.7 + 0.5);
+            }
+            rn_exposures_look(exposures, &frames[photo], &image);
+            rn_image_finish(&image);
+        }
+        rn_exposures_solve(exposures, frames, PHOTOS);
+        double light = rn_light_unrest(frames, PHOTOS);
+        if (moves)
+            ck_assert_double_gt(light, RN_LIGHT_UNREST);
+        else
+            ck_assert_double_lt(light, 0.02);
+        rn_exposures_destroy(&exposures);
+        free(capture.points.items);
+        free(capture.points.sightings);
+    }
+    ck_assert(isnan(rn_light_unrest(frames, 1)));
+}
+END_TEST
+
 // Cameras all around, in no order; brightness by the camera's place, or by chance.
 START_TEST(what_follows_the_camera_around_is_no_unrest) {
     enum { CAMERAS = 40 };
@@ -128,6 +158,7 @@ int main(void) {
     TCase *tests = tcase_create("exposure");
     tcase_add_checked_fixture(tests, setup, teardown);
     tcase_add_test(tests, known_gains_are_found);
+    tcase_add_test(tests, light_that_moves_is_told_from_exposures);
     tcase_add_test(tests, photographs_that_are_not_seen_are_not_measured);
     tcase_add_test(tests, what_follows_the_camera_around_is_no_unrest);
     suite_add_tcase(suite, tests);

@@ -10,6 +10,8 @@
 
 static const double mids[SAMPLES] = {0.9, 1.3, 1.7, 2.1, 2.5, 3.3}; // the last is outside the ball
 
+static double appearances[RAYS * RN_APPEARANCE], appearance_grads[RAYS * RN_APPEARANCE];
+
 // Rays through the ball, cones wide enough for several levels; the last ray has no samples.
 static void sample_rays(struct rn_reference_ray rays[RAYS]) {
     for (int r = 0; r < RAYS; r++) {
@@ -32,6 +34,8 @@ static void sample_rays(struct rn_reference_ray rays[RAYS]) {
         rays[r].radius = 0.03 * (r + 1);
         rays[r].count = r + 1 < RAYS ? SAMPLES : 0;
         rays[r].weight = r == 2 ? 4 : 1;
+        rays[r].appearance = appearances + r * RN_APPEARANCE;
+        rays[r].appearance_grad = appearance_grads + r * RN_APPEARANCE;
     }
 }
 
@@ -71,7 +75,10 @@ static void check_group(struct rn_reference *ref, const char *name, double *para
 static void check_gradients(const struct rn_field_config *config, int pixel_rays) {
     struct rn_reference *ref = sample_field(config);
     ref->pixel_rays = pixel_rays;
+    memset(appearance_grads, 0, sizeof appearance_grads);
     loss_of(ref);
+    double of_appearances[RAYS * RN_APPEARANCE];
+    memcpy(of_appearances, appearance_grads, sizeof of_appearances);
     size_t total = ref->plane_count + ref->base_shape.count + ref->head_shape.count;
     double *grad = malloc(total * sizeof *grad);
     ck_assert_ptr_nonnull(grad);
@@ -86,6 +93,8 @@ static void check_gradients(const struct rn_field_config *config, int pixel_rays
     else
         for (size_t i = 0; i < ref->head_shape.count; i++)
             ck_assert(head[i] == 0);
+    if (config->appearances > 0)
+        check_group(ref, "appearances", appearances, of_appearances, RAYS * RN_APPEARANCE, 1);
     free(grad);
     rn_reference_destroy(&ref);
 }
@@ -119,6 +128,17 @@ START_TEST(gradients_match_with_voxels) {
     config.space = _i % 2 ? RN_SPACE_UNBOUNDED : RN_SPACE_BALL;
     config.channels = _i / 2 ? 8 : 4;
     config.base = 9;
+    check_gradients(&config, 1);
+}
+END_TEST
+
+// _i: a colour a sample, a colour a ray.
+START_TEST(gradients_match_in_photographs_own_light) {
+    struct rn_field_config config = sample_config();
+    config.shading = (enum rn_shading)_i;
+    config.appearances = RAYS;
+    for (int i = 0; i < RAYS * RN_APPEARANCE; i++)
+        appearances[i] = sample_number(13, (uint64_t)i);
     check_gradients(&config, 1);
 }
 END_TEST
@@ -469,6 +489,7 @@ int main(void) {
     tcase_add_loop_test(tcase, gradients_match_on_every_solid_and_many_layers, 0, 3);
     tcase_add_loop_test(tcase, gradients_match_with_voxels, 0, 4);
     tcase_add_loop_test(tcase, gradients_match_where_rays_share_pixels, 0, 4);
+    tcase_add_loop_test(tcase, gradients_match_in_photographs_own_light, 0, 2);
     tcase_add_test(tcase, split_pixels_are_means);
     tcase_add_loop_test(tcase, pull_down_is_the_adjoint_of_build, 0, 8);
     tcase_add_test(tcase, smoothing_draws_neighbours_together);
