@@ -14,8 +14,8 @@
 #define RN_EXPOSURE_UNREST 0.1
 
 // The unrest of light (below) above which each photograph has an appearance of its own in training.
-// Photographs of one place by one camera within an hour stand at 0.018 to 0.044 (a cup, a drone's
-// tractor, a fox, a dinosaur's horns); 135 of a statue, by as many people on as many days, at 0.14.
+// Captures of one place by one camera stand at 0.018 to 0.044 (a cup, a drone's tractor, a fox, a
+// dinosaur's horns); 135 photographs of a statue, by as many people, at 0.14.
 #define RN_LIGHT_UNREST 0.08
 
 // The colours of all sightings, photograph by photograph. Owner: the caller;

@@ -135,19 +135,24 @@ def test_a_path_is_the_same_while_others_look(client, daemon, trained, tmp_path)
         assert (tmp_path / "watched" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
 
+def import_measured(client, daemon, name, synth, measured):
+    """A sphere's photographs as if their import had measured of each what `measured` says of its frame."""
+    client.run("synth", "sphere", name, *synth)
+    client.run("import", name, "--name", f"plain-{name}")
+    folder = daemon.folder / "datasets" / client.json("show", f"plain-{name}")["id"]
+    document = json.loads((folder / "dataset.json").read_text())
+    document["name"] = name
+    for frame in document["frames"]:
+        frame.update(measured(frame))
+    shutil.copytree(folder, client.cwd / f"measured-{name}")
+    (client.cwd / f"measured-{name}" / "dataset.json").write_text(json.dumps(document))
+    client.run("import", f"measured-{name}", "--name", name)
+
+
 def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
     """Where photographs were made even, and asked for; else it is the same picture."""
-    client.run("synth", "sphere", "uneven", "--size", 24, "--views", 6)
-    client.run("import", "uneven", "--name", "plain")
-    record = client.json("show", "plain")
-    folder = daemon.folder / "datasets" / record["id"]
-    document = json.loads((folder / "dataset.json").read_text())
-    document["name"] = "uneven"
-    for frame in document["frames"]:
-        frame["gain"] = [0.5, 1, 1.25] if frame["index"] % 2 else [1, 1, 1]
-    shutil.copytree(folder, client.cwd / "gains")
-    (client.cwd / "gains" / "dataset.json").write_text(json.dumps(document))
-    client.run("import", "gains", "--name", "uneven")
+    import_measured(client, daemon, "uneven", ("--size", 24, "--views", 6),
+                    lambda frame: {"gain": [0.5, 1, 1.25] if frame["index"] % 2 else [1, 1, 1]})
     for name, choice in (("even", "on"), ("uncorrected", "off")):
         client.run("train", "uneven", "--name", name, "--preset", "draft", "--max-steps", STEPS,
                    "--threads", 1, "--effect", f"exposure={choice}", "--wait")
@@ -170,16 +175,7 @@ def test_a_view_in_its_photograph_s_own_exposure(client, daemon):
 
 def test_a_photograph_in_its_own_light(client, daemon):
     """Where the light differs by the import's numbers, each photograph has an appearance of its own."""
-    client.run("synth", "sphere", "lit", "--size", 48, "--views", 8)
-    client.run("import", "lit", "--name", "plain-light")
-    record = client.json("show", "plain-light")
-    folder = daemon.folder / "datasets" / record["id"]
-    document = json.loads((folder / "dataset.json").read_text())
-    for frame in document["frames"]:
-        frame["light"] = 0.2
-    shutil.copytree(folder, client.cwd / "lights")
-    (client.cwd / "lights" / "dataset.json").write_text(json.dumps(document))
-    client.run("import", "lights", "--name", "light")
+    import_measured(client, daemon, "light", ("--size", 48, "--views", 8), lambda frame: {"light": 0.2})
     client.run("train", "light", "--name", "in-light", "--preset", "draft", "--max-steps", 60,
                "--threads", 1, "--wait")
     effect = {e["name"]: e for e in client.json("show", "in-light")["effects"]}["appearance"]

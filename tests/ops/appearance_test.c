@@ -6,7 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "server/engine/reference/exact.h"
 #include "server/engine/scene/appearance.h"
 #include "tests/ops/train_scene.h"
 

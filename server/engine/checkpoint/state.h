@@ -24,11 +24,11 @@ int rn_checkpoint_tensors(const struct rn_arrays *arrays,
 // Appends one tensor, or those of a network's layers, "PREFIX.N".
 void rn_checkpoint_add(struct rn_tensor *list, int *count, const char *name, const char *dtype,
                        int rank, const size_t *shape, void *data);
-// Photographs' appearances, where the field has such.
-void rn_checkpoint_add_appearances(struct rn_tensor *list, int *count,
-                                   const struct rn_field *field);
 void rn_checkpoint_add_network(struct rn_tensor *list, int *count, const char *prefix,
                                const struct rn_mlp_shape *shape, float *weights);
+// Appends photographs' appearances, where the field has such.
+void rn_checkpoint_add_appearances(struct rn_tensor *list, int *count,
+                                   const struct rn_field *field);
 // Reads them; what is missing, misshapen or not finite is RN_ERROR_CORRUPT.
 enum rn_status rn_checkpoint_read_list(const struct rn_checkpoint *checkpoint,
                                        const struct rn_tensor *list, int count,

@@ -30,6 +30,7 @@ struct rn_bounds rn_effects_prepare(const struct rn_dataset *dataset, bool on_gp
                                     struct rn_train_config *config,
                                     struct rn_effect_record ret_records[RN_EFFECT_COUNT]) {
     struct rn_bounds bounds = dataset->bounds;
+    config->field.appearances = 0; // of another training, which it may go on from
     for (int i = 0; i < RN_EFFECT_COUNT; i++) {
         ret_records[i] = blank(i);
         if (on_gpu && rows[i]->cpu_alone)

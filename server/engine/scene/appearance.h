@@ -12,8 +12,8 @@ const float *rn_field_appearances(const struct rn_field *field);
 void rn_field_centre_appearances(struct rn_field *field);
 
 // The code with which the field's colours are nearest to the photograph's part, by Gauss-Newton
-// from 0 on, with a prior as wide as the codes that were trained. Its error where a field's own
-// pictures are the photographs: tests/ops/appearance_test.c.
+// from 0 on, with a prior as wide as the codes that were trained. What
+// photographs that are not trained on gain by it: tests/ops/appearance_test.c.
 void rn_appearance_seek(const struct rn_pose_looker *looker, const struct rn_pose_photo *photo,
                         enum rn_pose_part part, uint64_t seed, float ret_code[RN_APPEARANCE]);
 

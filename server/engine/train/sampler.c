@@ -198,7 +198,7 @@ void rn_trainer_draw(struct rn_trainer *t, int begin, int end) {
             rays[i].id = (uint32_t)(begin + i);
             t->sampler.ray_block[begin + i] = places[i].block;
             t->sampler.ray_loss[begin + i] = 0;
-            if (places[i].frame)
+            if (places[i].frame && t->field->config.field.appearances)
                 t->sampler.ray_photograph[begin + i] =
                     (uint32_t)(places[i].frame->frame - t->dataset->frames);
         }
