@@ -373,10 +373,10 @@ static enum rn_exit print_evaluation(const char *json) {
     if (*result.setting)
         printf("by what was asked for, all were rendered with: %s\n", result.setting);
     if (isfinite(result.psnr_fitted))
-        printf(
-            "with what each photograph may have of its own (exposure, pose, light) fitted on one half "
-            "and scored on the other, %.2f dB\n",
-            result.psnr_fitted);
+        printf("with what each photograph may have of its own (exposure, pose, light) fitted on "
+               "one half "
+               "and scored on the other, %.2f dB\n",
+               result.psnr_fitted);
     if (isfinite(result.lpips))
         printf("LPIPS (VGG) %.4f\n", result.lpips);
     else
